@@ -1,0 +1,5 @@
+//! The vocabulary and the bytes of Areoid.
+//!
+//! Modules stand in the order of their dependencies: a file uses only files above it.
+
+pub mod units;
