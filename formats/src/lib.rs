@@ -4,5 +4,14 @@
 
 pub mod units;
 
+pub mod body;
+
+pub mod geodesy;
+
+pub mod projection;
+
 pub mod address;
+
 pub mod pyramid;
+
+pub mod grid;
