@@ -29,7 +29,7 @@ use crate::units::{Meters, Radians};
 pub enum PolarScale {
     /// The scale factor at the pole: 1 for a tangent plane, 0.994 for UPS.
     AtPole(f64),
-    /// The standard parallel, a latitude between the equator and the pole at the center.
+    /// The standard parallel, in the hemisphere of the pole at the center whatever its sign.
     TrueAt(Radians),
 }
 
@@ -112,7 +112,7 @@ impl PolarStereographic {
         match self.scale {
             PolarScale::AtPole(scale) => scale,
             PolarScale::TrueAt(parallel) => {
-                let theta = FRAC_PI_2 - self.pole.sign() * parallel.0;
+                let theta = FRAC_PI_2 - parallel.0.abs();
                 let (tau, cosine) = ((theta / 2.0).tan(), theta.cos());
                 let w = (1.0 - ellipsoid.eccentricity_squared() * cosine * cosine).sqrt();
                 let flattened = ellipsoid.b().0 / ellipsoid.a().0;
