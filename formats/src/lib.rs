@@ -15,3 +15,9 @@ pub mod address;
 pub mod pyramid;
 
 pub mod grid;
+
+pub mod page;
+
+pub mod compose;
+
+pub mod storage;

@@ -87,7 +87,10 @@ impl Page {
             Texels::Color(texels) => texels.len(),
         };
         assert_eq!(count, side * side, "a page has side x side texels");
-        assert!(coverage.as_ref().is_none_or(|c| c.len() == count), "coverage stands beside texels");
+        assert!(
+            coverage.as_ref().is_none_or(|c| c.len() == count),
+            "coverage stands beside texels"
+        );
         Self { side, texels, coverage }
     }
 

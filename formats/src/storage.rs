@@ -99,10 +99,8 @@ mod tests {
         source.read_exact_at(&mut [], 4).unwrap();
         for offset in [2, 4, 5, u64::MAX] {
             let error = source.read_exact_at(&mut buffer, offset).unwrap_err();
-            let past = matches!(
-                error.kind(),
-                io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidInput
-            );
+            let past =
+                matches!(error.kind(), io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidInput);
             assert!(past, "{offset}: {error}");
         }
         assert_eq!((source.len(), source.is_empty()), (4, false));

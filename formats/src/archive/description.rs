@@ -1,0 +1,122 @@
+//! What an archive says of itself: its description at the start, its summary at the end.
+//!
+//! Both are JSON, so that a person with a pager can read them and later versions can add to them.
+
+use serde::{Deserialize, Serialize};
+
+use super::error::ArchiveError;
+use crate::body::Body;
+use crate::codec::Quantum;
+use crate::grid::Grid;
+use crate::page::Kind;
+
+/// What is fixed before the first page: the head of the archive.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Description {
+    /// The dataset's name.
+    pub dataset: String,
+    /// What its texels are.
+    pub kind: Kind,
+    /// The body it shows.
+    pub body: Body,
+    /// Projection, origin, size and page side.
+    pub grid: Grid,
+    /// The step its heights are stored on; [`Quantum::NONE`] for colors.
+    pub quantum: Quantum,
+    /// Higher covers lower in a composition.
+    pub priority: i32,
+    /// Leaf texels over which coverage rises from the outline and from holes.
+    pub feather_texels: u32,
+    /// Leaf pages along a side of a work unit.
+    pub unit_pages: u32,
+    /// What it was made from, and how that was read.
+    pub source: Source,
+}
+
+/// The rasters a dataset was made from, and the options they were read with.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Source {
+    /// The files, in the order given.
+    pub files: Vec<SourceFile>,
+    /// `--crs`, as text.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub crs: Option<String>,
+    /// `--extent`: west, south, east, north in map units.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub extent: Option<[f64; 4]>,
+    /// `--nodata`. Text, because JSON has no NaN.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub nodata: Option<String>,
+    /// `--body`, as text.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub body: Option<String>,
+    /// `--latitudes`.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub latitudes: Option<String>,
+}
+
+/// One file of a [`Source`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SourceFile {
+    /// Its name without its folder: the bytes of an archive do not depend on where its source lay.
+    pub name: String,
+    /// Its length in bytes.
+    pub bytes: u64,
+    /// XXH3 of its contents, 128 bits in hexadecimal.
+    pub xxh3: String,
+}
+
+/// What is known after the last page.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// One for each level, coarsest first.
+    pub levels: Vec<LevelSummary>,
+    /// Work units the archive was built in.
+    pub units: u64,
+}
+
+/// What [`Summary`] says of a level.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LevelSummary {
+    /// Pages in the index, constant ones included.
+    pub pages: u64,
+    /// Constant pages among them.
+    pub constant: u64,
+    /// Payload bytes of the others.
+    pub bytes: u64,
+    /// The largest bound of a page, in meters or color codes.
+    pub bound_max: f32,
+    /// The largest source error of a page.
+    pub source_error_max: f32,
+}
+
+impl Description {
+    /// The description as the archive stores it.
+    ///
+    /// # Panics
+    ///
+    /// Never: every field has a JSON form.
+    #[must_use]
+    pub fn to_json(&self) -> Vec<u8> {
+        serde_json::to_vec(self).expect("a description has no maps with odd keys")
+    }
+
+    /// Reads a description and checks that it makes sense.
+    ///
+    /// # Errors
+    ///
+    /// [`ArchiveError::Description`].
+    pub fn from_json(json: &[u8]) -> Result<Self, ArchiveError> {
+        let invalid = |reason: String| ArchiveError::Description { reason };
+        let description: Self =
+            serde_json::from_slice(json).map_err(|error| invalid(error.to_string()))?;
+        if !(1..=64).contains(&description.unit_pages) {
+            let found = description.unit_pages;
+            return Err(invalid(format!("unit_pages is {found}, expected 1..=64")));
+        }
+        if description.kind == Kind::Normal {
+            return Err(invalid("normals are not supported yet".to_owned()));
+        }
+        Ok(description)
+    }
+}
