@@ -3,3 +3,5 @@
 //! Modules stand in the order of their dependencies: a file uses only files above it.
 
 pub mod units;
+
+pub mod codec;
