@@ -25,3 +25,5 @@ pub mod compose;
 pub mod storage;
 
 pub mod archive;
+
+pub mod catalog;
