@@ -208,3 +208,146 @@ fn check_jacobian(crs: &Crs, at: Geographic) {
     assert!((largest * smallest - (a * d - b * c).abs()).abs() <= 1e-12 * largest * largest);
     assert!(smallest <= largest * (1.0 + 1e-12));
 }
+
+fn polar(pole: Pole, ratio: f64) -> Crs {
+    let map = PolarStereographic {
+        pole,
+        central_meridian: Radians(0.3),
+        scale: PolarScale::AtPole(1.0),
+        false_easting: Meters(0.0),
+        false_northing: Meters(0.0),
+    };
+    let ellipsoid = Ellipsoid::new(Meters(3_396_190.0), Meters(3_396_190.0 * ratio)).unwrap();
+    Crs::new(Projection::PolarStereographic(map), ellipsoid)
+}
+
+fn global() -> [Crs; 3] {
+    let mars = Ellipsoid::sphere(Meters(3_396_190.0)).unwrap();
+    let at = |lon_0| Equirectangular { central_meridian: Radians(lon_0), ..Default::default() };
+    [
+        Crs::new(Projection::Geographic, mars),
+        Crs::new(Projection::Equirectangular(at(0.0)), mars),
+        Crs::new(Projection::Equirectangular(at(PI)), mars),
+    ]
+}
+
+#[test]
+fn the_pole_is_the_origin_of_a_polar_map_and_comes_back_exactly() {
+    for (pole, ratio) in [(Pole::North, 1.0), (Pole::South, 0.994)] {
+        let crs = polar(pole, ratio);
+        let at = position(1.0, pole.sign() * FRAC_PI_2);
+        let point = crs.project(at).unwrap();
+        assert_eq!((point.x, point.y), (0.0, 0.0));
+        for x in [0.0, -0.0] {
+            for y in [0.0, -0.0] {
+                let back = crs.unproject(MapPoint { x, y }).unwrap();
+                assert_eq!(back, position(0.3, at.latitude.0));
+            }
+        }
+    }
+}
+
+/// Next to the pole the colatitude itself must survive: a map meter is a ground meter there.
+#[test]
+fn millimetres_from_the_pole_are_still_on_the_map() {
+    for ratio in [1.0, 0.994] {
+        let crs = polar(Pole::North, ratio);
+        for meters in [1e-3, 1.0, 1e3] {
+            let back = crs.unproject(MapPoint { x: meters, y: 0.0 }).unwrap();
+            let ground = (FRAC_PI_2 - back.latitude.0) * 3_396_190.0 / ratio;
+            // Half an ulp of a latitude near 90° is 0.4 nm of Mars.
+            assert!((ground - meters).abs() < 1e-9 + 1e-6 * meters);
+            let (largest, smallest) = crs.principal_scales(back, [1.0, 1.0]);
+            assert!((largest - 1.0).abs() < 1e-6 && (smallest - 1.0).abs() < 1e-6);
+        }
+    }
+}
+
+#[test]
+fn a_polar_map_passes_the_equator_and_ends_before_the_other_pole() {
+    for ratio in [1.0, 0.994] {
+        for pole in [Pole::North, Pole::South] {
+            let crs = polar(pole, ratio);
+            let far = |degrees: f64| position(-2.0, -pole.sign() * degrees.to_radians());
+            let rim = crs.project(far(80.0)).expect("the rim belongs to the map");
+            assert!(crs.unproject(rim).is_some());
+            assert!(crs.project(far(80.001)).is_none());
+            assert!(crs.project(far(90.0)).is_none());
+            assert!(crs.unproject(MapPoint { x: rim.x * 1.001, y: rim.y * 1.001 }).is_none());
+            assert!(crs.unproject(MapPoint { x: f64::INFINITY, y: 0.0 }).is_none());
+            assert!(crs.ground_jacobian(far(85.0))[0][0].is_nan());
+        }
+    }
+}
+
+#[test]
+fn the_map_begins_at_its_west_end() {
+    let [degrees, greenwich, antimeridian] = global();
+    assert_eq!(degrees.project(position(PI, 0.0)).unwrap().x, -180.0);
+    assert_eq!(degrees.project(position(-PI, 0.0)).unwrap().x, -180.0);
+    let west = -greenwich.wraps_with_period().unwrap() / 2.0;
+    assert_eq!(greenwich.project(position(PI, 0.0)).unwrap().x, west);
+    assert_eq!(antimeridian.project(position(0.0, 0.0)).unwrap().x, west);
+    assert_eq!(antimeridian.project(position(PI, 0.0)).unwrap().x, 0.0);
+}
+
+/// Every float within three ulps of the seam, on both sides and several turns away.
+#[test]
+fn the_seam_is_no_gap() {
+    for crs in global() {
+        for half in -5..=5 {
+            let (mut below, mut above) = (f64::from(half) * PI, f64::from(half) * PI);
+            for _ in 0..=3 {
+                check_round_trip(&crs, position(below, 0.7));
+                check_round_trip(&crs, position(above, 0.7));
+                let half_period = crs.wraps_with_period().unwrap() / 2.0 * (1.0 + 1e-15);
+                let x = crs.project(position(above, 0.7)).unwrap().x;
+                assert!((-half_period..=half_period).contains(&x), "{crs:?} {x}");
+                (below, above) = (below.next_down(), above.next_up());
+            }
+        }
+        let (mut below, mut above) = (180.0_f64, -180.0_f64);
+        for _ in 0..=3 {
+            for x in [below, above] {
+                let shown = crs.unproject(MapPoint { x, y: 1.0 }).unwrap();
+                assert!((-PI..PI).contains(&shown.longitude.0), "{x} {shown:?}");
+            }
+            (below, above) = (below.next_down(), above.next_down());
+        }
+    }
+}
+
+#[test]
+fn a_row_that_misses_the_pole_by_rounding_is_the_pole() {
+    for crs in global() {
+        for pole in [Pole::North, Pole::South] {
+            let y = crs.y_of_pole(pole).unwrap();
+            let shown = crs.unproject(MapPoint { x: 0.0, y: y * (1.0 + 1e-12) }).unwrap();
+            assert_eq!(shown.latitude.0, pole.sign() * FRAC_PI_2);
+            assert!(crs.unproject(MapPoint { x: 0.0, y: y * 1.000_001 }).is_none());
+            assert!(crs.project(position(0.0, pole.sign() * 1.58)).is_none());
+        }
+    }
+}
+
+#[test]
+fn nothing_that_is_not_finite_is_on_a_map() {
+    for crs in global().into_iter().chain([polar(Pole::North, 1.0), polar(Pole::South, 0.994)]) {
+        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            assert!(crs.project(position(bad, 1.0)).is_none());
+            assert!(crs.project(position(1.0, bad)).is_none());
+            assert!(crs.unproject(MapPoint { x: bad, y: 1.0 }).is_none());
+            assert!(crs.unproject(MapPoint { x: 1.0, y: bad }).is_none());
+        }
+    }
+}
+
+#[test]
+fn a_degree_of_mars_is_59_km_and_narrows_with_the_cosine() {
+    let [degrees, ..] = global();
+    let (largest, smallest) = degrees.principal_scales(position(1.0, PI / 3.0), [1.0, -1.0]);
+    assert!((largest - 59_274.697).abs() < 1e-3, "{largest}");
+    assert!((smallest - largest / 2.0).abs() < 1e-6, "{smallest}");
+    let (_, at_pole) = degrees.principal_scales(position(1.0, FRAC_PI_2), [1.0, 1.0]);
+    assert_eq!(at_pole, 0.0);
+}
