@@ -213,16 +213,15 @@ impl Body {
         Ok(Self::from_ellipsoid(Ellipsoid::new(a, b)?))
     }
 
-    /// The body with exactly this surface, called after the nearest known body whose radii are both
-    /// within [`Self::SAME_WITHIN`], or else by its radii.
+    /// The body with exactly this surface, called after the known body whose radii are both within
+    /// [`Self::SAME_WITHIN`], or else by its radii.
+    ///
+    /// The known bodies are so far apart that no surface is near to two of them.
     #[must_use]
     pub fn from_ellipsoid(ellipsoid: Ellipsoid) -> Self {
-        let nearest = KNOWN
-            .iter()
-            .map(|(name, known)| (name, ellipsoid.relative_difference(known)))
-            .filter(|(_, difference)| *difference <= Self::SAME_WITHIN)
-            .min_by(|(_, one), (_, other)| one.total_cmp(other));
-        let name = nearest.map_or_else(|| ellipsoid.to_string(), |(name, _)| (*name).to_owned());
+        let mut known = KNOWN.iter();
+        let known = known.find(|(_, it)| ellipsoid.relative_difference(it) <= Self::SAME_WITHIN);
+        let name = known.map_or_else(|| ellipsoid.to_string(), |(name, _)| (*name).to_owned());
         Self { name, ellipsoid }
     }
 
@@ -266,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn a_body_keeps_its_own_radii_under_the_nearest_name() {
+    fn a_body_keeps_its_own_radii_under_a_known_name() {
         let mercury = Body::parse("2440530,2438260").unwrap();
         assert_eq!(mercury.name, "mercury");
         assert_eq!(mercury.ellipsoid, ellipsoid(2_440_530.0, 2_438_260.0));
@@ -277,6 +276,16 @@ mod tests {
         );
         assert_eq!(Body::parse(" 252100.5 ").unwrap().name, "252100.5");
         assert_eq!(Body::parse("5, 4").unwrap().name, "5,4");
+    }
+
+    #[test]
+    fn no_surface_is_near_to_two_known_bodies() {
+        for (i, (name, one)) in KNOWN.iter().enumerate() {
+            for (other_name, other) in &KNOWN[i + 1..] {
+                let apart = one.relative_difference(other);
+                assert!(apart > 3.0 * Body::SAME_WITHIN, "{name} and {other_name}");
+            }
+        }
     }
 
     #[test]

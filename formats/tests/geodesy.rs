@@ -9,7 +9,7 @@ use glam::DVec3;
 use proptest::prelude::*;
 
 fn ellipsoid(a: f64, ratio: f64) -> Ellipsoid {
-    Ellipsoid::new(Meters(a), Meters(a * ratio)).unwrap()
+    Ellipsoid::new(Meters(a), Meters(a * ratio)).expect("a ratio of at most 1")
 }
 
 fn position(longitude: f64, latitude: f64) -> Geographic {

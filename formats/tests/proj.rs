@@ -27,7 +27,7 @@ fn rows(kind: &str) -> Vec<Row> {
         .map(|line| line.split(',').collect::<Vec<_>>())
         .filter(|cells| cells[0] == kind)
         .map(|cells| {
-            let number = |cell: &&str| cell.parse::<f64>().unwrap();
+            let number = |cell: &&str| cell.parse::<f64>().expect("a number");
             let [lon, lat, height] = [2, 3, 4].map(|column| number(&cells[column]));
             Row {
                 system: cells[1].to_owned(),
@@ -91,7 +91,8 @@ fn planetocentric_maps_of_an_ellipsoid_agree_with_proj() {
 
 /// The surface of a row that has no map.
 fn surface(row: &Row) -> Ellipsoid {
-    Crs::from_proj_string(&format!("+proj=longlat {}", row.system)).unwrap().ellipsoid
+    let crs = Crs::from_proj_string(&format!("+proj=longlat {}", row.system));
+    crs.expect("a surface").ellipsoid
 }
 
 #[test]
