@@ -148,6 +148,8 @@ fn conformal_exponent(e2: f64, tau: f64) -> f64 {
 /// slope, which gains a factor of e² a step.)
 fn half_tangent(ellipsoid: &Ellipsoid, r: f64) -> f64 {
     const MOST_STEPS: u32 = 50;
+    // After a step this small the error, its square, is below rounding.
+    const LAST_STEP: f64 = 1e-9;
 
     if ellipsoid.is_sphere() || r == 0.0 || !r.is_finite() {
         return r;
@@ -160,7 +162,7 @@ fn half_tangent(ellipsoid: &Ellipsoid, r: f64) -> f64 {
         let slope = (1.0 - e2) / (1.0 - e2 * cosine * cosine);
         let step = (conformal_exponent(e2, tau) - w) / slope;
         w += step;
-        if step.abs() <= 4.0 * f64::EPSILON {
+        if step.abs() <= LAST_STEP {
             break;
         }
     }
