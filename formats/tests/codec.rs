@@ -1,4 +1,9 @@
 //! Payloads keep every texel, are a function of the texels, and survive any damage without a panic.
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::unwrap_used,
+    reason = "tests: noise is cut to fit, and a panic is a failure"
+)]
 
 use areoid_formats::codec::{
     DecodeError, EncodeError, Quantum, Scratch, decode_colors, decode_heights, decode_heights_into,
@@ -6,7 +11,7 @@ use areoid_formats::codec::{
 };
 use proptest::prelude::*;
 
-/// SplitMix64, so that a test draws one seed and not a million numbers.
+/// `SplitMix64`, so that a test draws one seed and not a million numbers.
 struct Noise(u64);
 
 impl Noise {
@@ -29,9 +34,9 @@ fn coverage(pattern: u8, side: usize, noise: &mut Noise) -> Option<Vec<u8>> {
         0 => return None,
         1 => Box::new(|_| 255),
         2 => Box::new(|i| u8::from(i == one) * 200),
-        3 => Box::new(|i| if (i + i / side) % 2 == 0 { 255 } else { 0 }),
+        3 => Box::new(|i| if (i + i / side).is_multiple_of(2) { 255 } else { 0 }),
         4 => Box::new(|_| noise.next().to_le_bytes()[0]),
-        5 => Box::new(|_| if noise.next() % 8 == 0 { 0 } else { 255 }),
+        5 => Box::new(|_| if noise.next().is_multiple_of(8) { 0 } else { 255 }),
         6 => Box::new(|i| if i % side > i / side { 255 } else { 0 }),
         7 => Box::new(|i| if i == one { 254 } else { 255 }),
         _ => Box::new(|_| 0),
@@ -71,7 +76,7 @@ proptest! {
         seed: u64,
         side in prop::sample::select(&SIDES[..]),
         pattern in 0_u8..9,
-        range_bits in 0..33,
+        range_bits in 0_u32..33,
         base: i32,
         (step, offset) in prop::sample::select(vec![
             (1.0, 0.0), (0.5, 0.0), (0.1, -8528.0), (1e-3, 0.1), (1e-3, -1e5), (0.25, 1737.4), (1e-9, 0.0),
@@ -182,7 +187,7 @@ fn extremes_side_by_side_come_back() {
     for (low, high) in [(-32768, 32767), (0, 65535), (0, 65536), (i32::MIN, i32::MAX)] {
         for period in [1, 2, 7] {
             let texels =
-                (0..100).map(|i| meters.value(if i / period % 2 == 0 { low } else { high }));
+                (0..100).map(|i| meters.value(if (i / period) % 2 == 0 { low } else { high }));
             check_heights(texels.collect(), None, 10, meters);
         }
     }
@@ -211,9 +216,9 @@ fn texels_outside_the_domain_are_named() {
         texels[at] = value;
         texels
     };
-    let error = |texels: Vec<f32>, coverage, quantum| {
+    fn error(texels: Vec<f32>, coverage: Option<&[u8]>, quantum: Quantum) -> EncodeError {
         encode_heights(&texels, coverage, 4, quantum).unwrap_err()
-    };
+    }
     assert_eq!(error(page(3, 0.25), None, halves), EncodeError::OffStep { index: 3, texel: 0.25 });
     assert_eq!(error(page(5, 1e10), None, halves), EncodeError::OffStep { index: 5, texel: 1e10 });
     assert!(matches!(
