@@ -3,3 +3,9 @@
 //! Modules stand in the order of their dependencies: a file uses only files above it.
 
 pub mod units;
+
+pub mod body;
+
+pub mod geodesy;
+
+pub mod projection;
