@@ -19,13 +19,14 @@
 mod crs;
 mod equirectangular;
 mod ground;
+mod parameters;
 mod polar_stereographic;
 mod proj_string;
 
 pub use crs::Crs;
 pub use equirectangular::Equirectangular;
+pub use parameters::CrsError;
 pub use polar_stereographic::{PolarScale, PolarStereographic};
-pub use proj_string::CrsError;
 
 /// A point in the plane of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
