@@ -3,9 +3,11 @@
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
+use super::crs::ParseCrsError;
+
 /// A raster that cannot be opened or read.
 ///
-/// The first four are faults of the *file*, the next three mean that nothing is wrong with it but
+/// The first four are faults of the *file*, the next four mean that nothing is wrong with it but
 /// that this program cannot use it as it is, the last is the machine's.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -73,6 +75,17 @@ pub enum RasterError {
         found: String,
         /// What it could have.
         supported: String,
+    },
+
+    /// A coordinate reference system that is not understood.
+    #[error("{}: {origin}: {source}", path.display())]
+    Crs {
+        /// The raster.
+        path: PathBuf,
+        /// Who said so: an option, a file, the raster's keys.
+        origin: String,
+        /// What is the matter with it.
+        source: ParseCrsError,
     },
 
     /// Nothing says where the raster lies.

@@ -31,6 +31,11 @@ impl PositionedFile {
         &self.path
     }
 
+    /// The file's length in bytes.
+    pub(crate) const fn len(&self) -> u64 {
+        self.len
+    }
+
     /// Bytes `start..start + count` of the file, which are `what` in the error if they are not all
     /// there.
     pub(crate) fn read(&self, what: &str, start: u64, count: u64) -> Result<Vec<u8>, RasterError> {

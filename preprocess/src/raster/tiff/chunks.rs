@@ -151,7 +151,7 @@ impl Chunks {
     ) -> Result<(), RasterError> {
         let row_bytes = self.row_bytes(pixel);
         if !self.tiled && self.compression == Compression::None {
-            self.cut_strips(row_bytes, image_height);
+            self.cut_strips(row_bytes, image_height, tiff.file.len());
         }
         let chunk_bytes = row_bytes.saturating_mul(self.height.into());
         if chunk_bytes > GREATEST_CHUNK_BYTES {
@@ -166,9 +166,9 @@ impl Chunks {
 
     /// Cuts long strips of uncompressed rows into pieces that are read one at a time.
     ///
-    /// Only strips that their byte counts say are whole are cut, so there are no more pieces than
-    /// the claimed bytes justify; strips that claim more than the file holds fail when read.
-    fn cut_strips(&mut self, row_bytes: u64, image_height: u32) {
+    /// Only strips that are whole and inside the file are cut, so that there are never more pieces
+    /// than the file's length justifies.
+    fn cut_strips(&mut self, row_bytes: u64, image_height: u32, file_bytes: u64) {
         let rows = (PIECE_BYTES / row_bytes.max(1)).clamp(1, u32::MAX.into());
         let Ok(rows) = u32::try_from(rows) else { return };
         if self.height / 4 < rows || self.places.len() > 1 << 16 {
@@ -179,8 +179,9 @@ impl Chunks {
             for down in 0..self.down {
                 let (offset, bytes) = self.place(plane, 0, down);
                 let strip_rows = self.height.min(image_height - down * self.height);
-                if bytes != row_bytes * u64::from(strip_rows) || !self.height.is_multiple_of(rows) && self.down > 1
-                {
+                let whole = row_bytes.checked_mul(strip_rows.into()) == Some(bytes)
+                    && offset.checked_add(bytes).is_some_and(|end| end <= file_bytes);
+                if !whole || (self.down > 1 && !self.height.is_multiple_of(rows)) {
                     return;
                 }
                 cut.extend((0..strip_rows).step_by(rows as usize).map(|row| {
