@@ -16,12 +16,12 @@ use self::chunks::Chunks;
 use self::decode::ChunkShape;
 use self::directory::{Directory, TiffFile, tags};
 use self::geokeys::GeoKeys;
-use self::layout::{Compression, Meaning, Pixel};
+use self::layout::{Meaning, Pixel};
 use super::error::RasterError;
 use super::file::PositionedFile;
 use super::georeference;
 use super::outline::Rows;
-use super::samples::{Sample, SampleType, Samples, with_samples};
+use super::samples::{Sample, Samples, with_samples};
 use super::{Block, Raster, RasterInfo, ReadOptions};
 
 /// Strips are read together until they have about this many bytes.
