@@ -29,3 +29,5 @@ pub mod storage;
 pub mod archive;
 
 pub mod catalog;
+
+pub mod query;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use areoid_formats::archive::{Description, Source, SourceFile, Summary};
+use areoid_formats::archive::{Archive, Description, Source, SourceFile, Summary};
 use areoid_formats::body::Body;
 use areoid_formats::catalog::{
     Build, Catalog, CatalogError, Disk, NewDataset, publish_build,
@@ -353,4 +353,32 @@ fn fingerprint(path: &Path) -> Result<SourceFile, IngestError> {
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     Ok(SourceFile { name, bytes, xxh3: format!("{:032x}", hash.digest128()) })
+}
+
+/// Opens the rasters that `archive` was made from, as it was made from them.
+///
+/// # Errors
+///
+/// [`IngestError`] if they cannot be read, or do not lie on the archive's grid.
+pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Mosaic, IngestError> {
+    let description = archive.description();
+    let source = &description.source;
+    let reading = Reading {
+        crs: source.crs.clone(),
+        extent: source.extent,
+        nodata: source.nodata.as_deref().and_then(|nodata| nodata.parse().ok()),
+        body: source.body.clone(),
+        latitudes: [LatitudeKind::Planetographic, LatitudeKind::Planetocentric]
+            .into_iter()
+            .find(|&kind| source.latitudes.as_deref() == Some(latitudes_name(kind))),
+    };
+    let (rasters, crs, _) = open(paths, &reading, Some(&description.body))?;
+    let page_side = description.grid.pyramid().page_side();
+    let mosaic = Mosaic::new(rasters, crs, description.kind, page_side)?;
+    if *mosaic.grid() != description.grid {
+        let dataset = &description.dataset;
+        let reason = format!("the rasters do not lie on the grid of {dataset}: was it made from them?");
+        return Err(IngestError::Request(reason));
+    }
+    Ok(mosaic)
 }

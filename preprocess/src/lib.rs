@@ -21,3 +21,5 @@ pub mod build;
 pub mod mosaic;
 
 pub mod ingest;
+
+pub mod verify;
