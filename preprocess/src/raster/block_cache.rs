@@ -158,9 +158,9 @@ mod tests {
         }
 
         fn read_block(&self, block_col: u32, block_row: u32) -> Result<Block, RasterError> {
-            let failing = self.fails.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| {
-                left.checked_sub(1)
-            });
+            let failing = self
+                .fails
+                .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
             if failing.is_ok() {
                 return Err(RasterError::not_supported(&self.info.path, "today", "tomorrow"));
             }

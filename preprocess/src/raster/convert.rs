@@ -175,8 +175,7 @@ mod tests {
     #[test]
     fn a_decimal_nodata_matches_the_float_it_was_written_from() {
         let mut info = info(SampleType::F32, 1, false);
-        let samples =
-            || Samples::F32(vec![-3.402_823e38, f32::NAN, f32::NEG_INFINITY, 1.5]);
+        let samples = || Samples::F32(vec![-3.402_823e38, f32::NAN, f32::NEG_INFINITY, 1.5]);
         info.nodata = Some(-3.402_823_060_737_096_5e38);
         assert_eq!(heights_of(samples(), &info), [None, None, None, Some(1.5)]);
         info.nodata = Some(f64::NAN);
@@ -234,8 +233,7 @@ mod tests {
     fn colours_of_other_types_are_refused() {
         let (mut rgb, mut alpha) = ([[0; 3]; 4], [0; 4]);
         let samples = block(Samples::F32(vec![0.0; 4]));
-        let result =
-            colors_into(&samples, &info(SampleType::F32, 1, false), &mut rgb, &mut alpha);
+        let result = colors_into(&samples, &info(SampleType::F32, 1, false), &mut rgb, &mut alpha);
         assert!(result.unwrap_err().to_string().contains("F32"));
     }
 }

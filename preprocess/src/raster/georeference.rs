@@ -54,7 +54,8 @@ pub(crate) fn place(
     };
     let (outline, rows) = match (options.extent, steps) {
         (Some(extent), steps) => {
-            let rows = if steps.is_some_and(|steps| steps.step[1] > 0.0) { Rows::Up } else { Rows::Down };
+            let rows =
+                if steps.is_some_and(|steps| steps.step[1] > 0.0) { Rows::Up } else { Rows::Down };
             (Outline::from_extent(path, extent, size)?, rows)
         }
         (None, Some(steps)) => placed_by_steps(path, steps, size.1, map)?,

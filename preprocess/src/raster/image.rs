@@ -110,9 +110,8 @@ impl ImageRaster {
                 return Err(RasterError::not_supported(path, found, "integer samples"));
             }
         };
-        let expected = self.info.width as usize
-            * self.info.height as usize
-            * self.info.samples_per_pixel();
+        let expected =
+            self.info.width as usize * self.info.height as usize * self.info.samples_per_pixel();
         if size != (self.info.width, self.info.height)
             || samples.len() != expected
             || samples.sample_type() != self.info.sample
@@ -181,4 +180,106 @@ fn damaged(
 ) -> RasterError {
     let what = format!("the {what}");
     RasterError::Damaged { path: path.to_owned(), what, offset: 0, source: source.into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{colors_into, heights_into, open};
+    use super::*;
+    use areoid_formats::body::Body;
+    use image::{ExtendedColorType, ImageBuffer, Luma, Rgba};
+    use std::path::PathBuf;
+    use tempfile::TempDir;
+
+    const WORLD: &str = "1 0 0 -1 -59.5 69.5";
+
+    fn saved(name: &str, world: Option<&str>) -> (TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        let image =
+            ImageBuffer::from_fn(120, 140, |x, y| Luma([u16::try_from(x * 200 + y).unwrap()]));
+        image.save(&path).unwrap();
+        if let Some(world) = world {
+            std::fs::write(path.with_extension("wld"), world).unwrap();
+        }
+        (folder, path)
+    }
+
+    #[test]
+    fn a_sixteen_bit_png_is_heights_in_blocks_of_rows() {
+        let (_folder, path) = saved("a.png", Some(WORLD));
+        let raster = open(&path, &ReadOptions::default()).unwrap();
+        let info = raster.info();
+        assert_eq!((info.bands, info.sample, info.blocks()), (1, SampleType::U16, (1, 3)));
+        assert_eq!((info.outline.origin, info.crs), ([-60.0, 70.0], None));
+        let block = raster.read_block(0, 2).unwrap();
+        assert_eq!((block.row, block.height), (128, 12));
+        let mut heights = vec![0.0; 120 * 12];
+        heights_into(&block, info, &mut heights);
+        assert_eq!(heights[120 + 3], 3.0 * 200.0 + 129.0);
+    }
+
+    #[test]
+    fn a_south_up_world_file_turns_the_image_over() {
+        let (_folder, path) = saved("a.png", Some("1 0 0 1 0.5 -69.5"));
+        let raster = open(&path, &ReadOptions::default()).unwrap();
+        assert_eq!(raster.info().outline.origin, [0.0, 70.0]);
+        let block = raster.read_block(0, 0).unwrap();
+        let Samples::U16(values) = block.samples else { panic!("16 bits") };
+        assert_eq!((values[0], values[120]), (139, 138));
+    }
+
+    #[test]
+    fn the_body_makes_an_image_geographic() {
+        let (_folder, path) = saved("a.png", Some(WORLD));
+        let body = Some(Body::parse("moon").unwrap());
+        let raster = open(&path, &ReadOptions { body, ..ReadOptions::default() }).unwrap();
+        assert_eq!(raster.info().crs.unwrap().body.a().0, 1_737_400.0);
+    }
+
+    #[test]
+    fn alpha_of_a_png_hides_pixels() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.PNG");
+        let image = ImageBuffer::from_fn(2, 1, |x, _| Rgba([9_u8, 8, 7, u8::from(x == 0)]));
+        image.save_with_format(&path, image::ImageFormat::Png).unwrap();
+        let options = ReadOptions { extent: Some([0.0, 0.0, 2.0, 1.0]), ..ReadOptions::default() };
+        let raster = open(&path, &options).unwrap();
+        let block = raster.read_block(0, 0).unwrap();
+        let (mut rgb, mut alpha) = ([[0; 3]; 2], [9; 2]);
+        colors_into(&block, raster.info(), &mut rgb, &mut alpha).unwrap();
+        assert_eq!((rgb[0], alpha), ([9, 8, 7], [1, 0]));
+    }
+
+    #[test]
+    fn an_image_that_nothing_places_names_the_files_looked_for() {
+        let (_folder, path) = saved("a.png", None);
+        let error = open(&path, &ReadOptions::default()).unwrap_err().to_string();
+        assert!(error.contains("a.pgw") && error.contains("a.WLD"), "{error}");
+    }
+
+    #[test]
+    fn damaged_images_are_errors() {
+        let folder = tempfile::tempdir().unwrap();
+        let options = ReadOptions { extent: Some([0.0, 0.0, 8.0, 8.0]), ..ReadOptions::default() };
+        let pixels: Vec<u8> = (0..192).collect();
+        let mut jpeg = Vec::new();
+        let encoder = image::codecs::jpeg::JpegEncoder::new(&mut jpeg);
+        image::ImageEncoder::write_image(encoder, &pixels, 8, 8, ExtendedColorType::Rgb8).unwrap();
+        let mut png = Vec::new();
+        let encoder = image::codecs::png::PngEncoder::new(&mut png);
+        image::ImageEncoder::write_image(encoder, &pixels, 8, 8, ExtendedColorType::Rgb8).unwrap();
+        let path = folder.path().join("a.jpg");
+        for whole in [jpeg, png] {
+            for end in 8..whole.len() {
+                std::fs::write(&path, &whole[..end]).unwrap();
+                if let Ok(raster) = open(&path, &options) {
+                    let _ = raster.read_block(0, 0);
+                }
+            }
+            std::fs::write(&path, &whole[..whole.len() / 3]).unwrap();
+            let result = open(&path, &options).and_then(|raster| raster.read_block(0, 0));
+            assert!(result.unwrap_err().to_string().contains("is damaged"));
+        }
+    }
 }

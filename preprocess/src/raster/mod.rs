@@ -184,6 +184,11 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn Raster>, Raste
     const EXPECTED: &str = "a TIFF, JPEG or PNG file";
     let file = file::PositionedFile::open(path)?;
     let start = file.read("the file's signature", 0, file.len().min(16))?;
+    let mask = PathBuf::from(format!("{}.msk", path.display()));
+    if mask.is_file() {
+        let found = format!("a mask in a file of its own ({})", mask.display());
+        return Err(RasterError::not_supported(path, found, "an alpha band or a no-data value"));
+    }
     if start.starts_with(b"II") || start.starts_with(b"MM") {
         Ok(Box::new(tiff::TiffRaster::open(file, options)?))
     } else if start.starts_with(b"\xff\xd8\xff") || start.starts_with(b"\x89PNG\r\n\x1a\n") {

@@ -68,7 +68,8 @@ mod tests {
 
     #[test]
     fn the_centre_of_the_first_pixel_becomes_its_corner() {
-        let steps = parse(Path::new("a.jgw"), "0.125\r\n0\r\n0.0\r\n-0.125\n0.0625\n89.9375").unwrap();
+        let steps =
+            parse(Path::new("a.jgw"), "0.125\r\n0\r\n0.0\r\n-0.125\n0.0625\n89.9375").unwrap();
         assert_eq!(steps, Steps { corner: [0.0, 90.0], step: [0.125, -0.125] });
     }
 

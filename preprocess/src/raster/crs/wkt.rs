@@ -64,8 +64,7 @@ impl Node {
 
     /// The first node at any depth with one of these keywords.
     pub(super) fn descendant(&self, keywords: &[&str]) -> Option<&Node> {
-        self.child(keywords)
-            .or_else(|| self.children().find_map(|node| node.descendant(keywords)))
+        self.child(keywords).or_else(|| self.children().find_map(|node| node.descendant(keywords)))
     }
 }
 
@@ -179,7 +178,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const TEXT: &str = r#"GEOGCS["a ""b""", DATUM("d",SPHEROID["s",3396190,-1.5e2]), AXIS["x",EAST]]"#;
+    const TEXT: &str =
+        r#"GEOGCS["a ""b""", DATUM("d",SPHEROID["s",3396190,-1.5e2]), AXIS["x",EAST]]"#;
 
     #[test]
     fn names_numbers_words_and_both_brackets_are_read() {

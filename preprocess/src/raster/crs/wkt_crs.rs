@@ -8,15 +8,8 @@
 use super::wkt::Node;
 use super::{Method, Parameters, ParseCrsError, Radii};
 
-const GEOGRAPHIC: [&str; 7] = [
-    "GEOGCS",
-    "GEOGCRS",
-    "GEOGRAPHICCRS",
-    "GEODCRS",
-    "GEODETICCRS",
-    "BASEGEOGCRS",
-    "BASEGEODCRS",
-];
+const GEOGRAPHIC: [&str; 7] =
+    ["GEOGCS", "GEOGCRS", "GEOGRAPHICCRS", "GEODCRS", "GEODETICCRS", "BASEGEOGCRS", "BASEGEODCRS"];
 const PROJECTED: [&str; 3] = ["PROJCS", "PROJCRS", "PROJECTEDCRS"];
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
@@ -122,11 +115,8 @@ impl Projection<'_> {
             "longitude of center",
             "straight vertical longitude from pole",
         ]);
-        let lat_0 = self.angle(&[
-            "latitude of origin",
-            "latitude of natural origin",
-            "latitude of center",
-        ]);
+        let lat_0 =
+            self.angle(&["latitude of origin", "latitude of natural origin", "latitude of center"]);
         let parallel = self.angle(&[
             "standard parallel 1",
             "latitude of 1st standard parallel",
@@ -141,11 +131,9 @@ impl Projection<'_> {
             | "equidistant cylindrical (spherical)"
             | "equidistant cylindrical (ellipsoidal)"
             | "plate carree"
-            | "simple cylindrical" => Method::Equirectangular {
-                lon_0,
-                lat_0: origin,
-                lat_ts: parallel.unwrap_or(0.0),
-            },
+            | "simple cylindrical" => {
+                Method::Equirectangular { lon_0, lat_0: origin, lat_ts: parallel.unwrap_or(0.0) }
+            }
             "polar stereographic"
             | "polar stereographic (variant a)"
             | "polar stereographic (variant b)" => {

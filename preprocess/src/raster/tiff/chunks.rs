@@ -67,6 +67,7 @@ impl Chunks {
         };
         let compression = Compression::read(tiff, directory)?;
         let predictor = small(tiff, directory, tags::PREDICTOR, 1)?;
+        let predictor = if compression.has_predictor() { predictor } else { 1 };
         match predictor {
             1 | 2 => {}
             3 if pixel.sample.is_float() => {}
@@ -108,7 +109,10 @@ impl Chunks {
     pub(crate) fn place(&self, plane: u16, across: u32, down: u32) -> (u64, u64) {
         let row = u64::from(plane) * u64::from(self.down) + u64::from(down);
         let index = row * u64::from(self.across) + u64::from(across);
-        usize::try_from(index).ok().and_then(|index| self.places.get(index).copied()).unwrap_or((0, 0))
+        usize::try_from(index)
+            .ok()
+            .and_then(|index| self.places.get(index).copied())
+            .unwrap_or((0, 0))
     }
 
     /// Bytes of a row of a whole chunk.
@@ -157,7 +161,10 @@ impl Chunks {
         if chunk_bytes > GREATEST_CHUNK_BYTES {
             return Err(RasterError::not_supported(
                 tiff.file.path(),
-                format!("a tile or strip of {chunk_bytes} bytes ({} × {})", self.width, self.height),
+                format!(
+                    "a tile or strip of {chunk_bytes} bytes ({} × {})",
+                    self.width, self.height
+                ),
                 format!("tiles and strips up to {GREATEST_CHUNK_BYTES} bytes"),
             ));
         }

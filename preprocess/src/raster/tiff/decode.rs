@@ -51,16 +51,19 @@ impl ChunkShape<'_> {
                 ruzstd::decoding::StreamingDecoder::new(chunk)?
                     .take(limit)
                     .read_to_end(&mut decoded)?;
+                if (decoded.len() as u64) < limit {
+                    return Err(format!("{} bytes decode, not {limit}", decoded.len()).into());
+                }
                 return self.decode_plain(&decoded);
             }
             Compression::Jpeg => self.check_jpeg(chunk)?,
             Compression::None | Compression::Lzw | Compression::Deflate | Compression::PackBits => {
-                let greatest = self.compression.greatest_ratio().unwrap_or(u64::MAX);
-                if (chunk.len() as u64).saturating_mul(greatest) < self.encoded_bytes() {
-                    let (found, wanted) = (chunk.len(), self.encoded_bytes());
-                    return Err(format!("{found} bytes cannot hold {wanted} of samples").into());
-                }
             }
+        }
+        let greatest = self.compression.greatest_ratio();
+        if (chunk.len() as u64).saturating_mul(greatest) < self.encoded_bytes() {
+            let (found, wanted) = (chunk.len(), self.encoded_bytes());
+            return Err(format!("{found} bytes cannot hold {wanted} of samples").into());
         }
         self.decode_plain(chunk)
     }

@@ -120,16 +120,22 @@ impl Compression {
         }
     }
 
-    /// A byte of a chunk stands for no more than this many bytes of samples, if that is known: an
-    /// upper bound of what a chunk can hold, known before anything is allocated.
-    pub(crate) const fn greatest_ratio(self) -> Option<u64> {
+    /// A byte of a chunk stands for no more than this many bytes of samples: an upper bound of what
+    /// a chunk can hold, known before anything is allocated. ZSTD, whose bound says nothing, is
+    /// decompressed piece by piece instead.
+    pub(crate) const fn greatest_ratio(self) -> u64 {
         match self {
-            Self::None => Some(1),
-            Self::Lzw => Some(4096),
-            Self::Deflate => Some(1040),
-            Self::PackBits => Some(128),
-            Self::Jpeg | Self::Zstd => None,
+            Self::None | Self::Zstd => 1,
+            Self::PackBits => 128,
+            Self::Deflate => 1040,
+            // LZW's longest string; and a JPEG block of 64 samples takes two bits at least.
+            Self::Lzw | Self::Jpeg => 4096,
         }
+    }
+
+    /// Whether the predictor is part of this compression; elsewhere its tag means nothing.
+    pub(crate) const fn has_predictor(self) -> bool {
+        matches!(self, Self::Lzw | Self::Deflate | Self::Zstd)
     }
 }
 
@@ -185,7 +191,10 @@ fn meaning(
             let colors = (0..256).map(|at| [channel(at), channel(at + 256), channel(at + 512)]);
             return Ok(Meaning::Palette(colors.collect()));
         }
-        6 if stored == 3 && Compression::read(tiff, directory)? == Compression::Jpeg => {
+        6 if stored == 3
+            && small(tiff, directory, tags::PLANAR_CONFIGURATION, 1)? == 1
+            && Compression::read(tiff, directory)? == Compression::Jpeg =>
+        {
             return Ok(Meaning::YCbCr);
         }
         0 => "white is zero",
@@ -193,7 +202,7 @@ fn meaning(
         3 => "a palette of other than 8 bits",
         4 => "a transparency mask",
         5 => "CMYK",
-        6 => "YCbCr without JPEG",
+        6 => "YCbCr without JPEG, or in planes",
         8..=10 => "CIE L*a*b*",
         _ => "an unknown colour space",
     };

@@ -112,8 +112,8 @@ impl TiffRaster {
                         return Ok(chunk);
                     }
                     let len = width as usize * height as usize * kept.len();
-                    let window = window
-                        .get_or_insert_with(|| Samples::filled(self.pixel.sample, len, 0.0));
+                    let window =
+                        window.get_or_insert_with(|| Samples::filled(self.pixel.sample, len, 0.0));
                     for (to_band, &from_band) in kept.iter().enumerate() {
                         let (from_band, from_bands) = match chunks.planes {
                             1 => (from_band, self.pixel.stored),
@@ -146,7 +146,12 @@ impl TiffRaster {
             // A chunk that the file leaves out is no data, or zeros where nothing means that.
             let len = width as usize * height as usize * usize::from(samples);
             let nodata = self.info.nodata.unwrap_or(0.0);
-            return Ok(Samples::filled(self.pixel.sample, len, nodata));
+            let mut filled = Samples::filled(self.pixel.sample, len, nodata);
+            if let (Samples::U8(values), Meaning::YCbCr) = (&mut filled, &self.pixel.meaning) {
+                // A gray of that value.
+                values.chunks_exact_mut(3).for_each(|pixel| pixel[1..].fill(128));
+            }
+            return Ok(filled);
         }
         let what = if self.chunks.tiled { "tile" } else { "strip" };
         let name = || format!("the {what} at column {across}, row {down}");
@@ -159,7 +164,10 @@ impl TiffRaster {
             sample: self.pixel.sample,
             samples,
             // The last strip has only the rows there are.
-            encoded: (self.chunks.width, if self.chunks.tiled { self.chunks.height } else { height }),
+            encoded: (
+                self.chunks.width,
+                if self.chunks.tiled { self.chunks.height } else { height },
+            ),
             clipped: (width, height),
         };
         shape.decode(&chunk).map_err(|source| RasterError::Damaged {
@@ -282,7 +290,8 @@ fn copy_values<T: Copy>(from: &[T], at: Place<u16>, to: &mut [T], into: Place<us
         let start = |first_row: u32, first_col: u32, width: u32| {
             (row - first_row) as usize * width as usize + (left - first_col) as usize
         };
-        let from = &from[start(from_row, from_col, from_width) * from_bands..][..count * from_bands];
+        let from =
+            &from[start(from_row, from_col, from_width) * from_bands..][..count * from_bands];
         let to = &mut to[start(to_row, to_col, to_width) * to_bands..][..count * to_bands];
         if from_bands == 1 && to_bands == 1 {
             to.copy_from_slice(from);
@@ -314,11 +323,7 @@ fn rgb_from_ycbcr([y, cb, cr]: [u8; 3]) -> [u8; 3] {
         let rounded = (value + (1 << 15)) >> 16;
         u8::try_from(rounded.clamp(0, 255)).expect("clamped to a byte")
     };
-    [
-        channel(y + 91_881 * cr),
-        channel(y - 22_554 * cb - 46_802 * cr),
-        channel(y + 116_130 * cb),
-    ]
+    [channel(y + 91_881 * cr), channel(y - 22_554 * cb - 46_802 * cr), channel(y + 116_130 * cb)]
 }
 
 #[cfg(test)]
