@@ -22,6 +22,14 @@ pub mod page;
 
 pub mod compose;
 
+pub mod bounds;
+
+mod footprint;
+
+pub mod volume;
+
+pub mod bvh;
+
 pub mod storage;
 
 pub mod archive;
