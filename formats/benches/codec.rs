@@ -3,7 +3,6 @@
 //! Decides whether the codec keeps up with the source: decoding 1 GB/s of int16 texels feeds a page
 //! every half millisecond. Throughput is in bytes of the source (2 a height, 3 a color); sizes go to
 //! the names of the benchmarks, in KiB.
-#![expect(missing_docs, reason = "`criterion_group!` makes an undocumented public function")]
 
 use std::hint::black_box;
 

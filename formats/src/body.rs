@@ -213,16 +213,15 @@ impl Body {
         Ok(Self::from_ellipsoid(Ellipsoid::new(a, b)?))
     }
 
-    /// The body with exactly this surface, called after the nearest known body whose radii are both
-    /// within [`Self::SAME_WITHIN`], or else by its radii.
+    /// The body with exactly this surface, called after the known body whose radii are both within
+    /// [`Self::SAME_WITHIN`], or else by its radii.
+    ///
+    /// The known bodies are so far apart that no surface is near to two of them.
     #[must_use]
     pub fn from_ellipsoid(ellipsoid: Ellipsoid) -> Self {
-        let nearest = KNOWN
-            .iter()
-            .map(|(name, known)| (name, ellipsoid.relative_difference(known)))
-            .filter(|(_, difference)| *difference <= Self::SAME_WITHIN)
-            .min_by(|(_, one), (_, other)| one.total_cmp(other));
-        let name = nearest.map_or_else(|| ellipsoid.to_string(), |(name, _)| (*name).to_owned());
+        let mut known = KNOWN.iter();
+        let known = known.find(|(_, it)| ellipsoid.relative_difference(it) <= Self::SAME_WITHIN);
+        let name = known.map_or_else(|| ellipsoid.to_string(), |(name, _)| (*name).to_owned());
         Self { name, ellipsoid }
     }
 
@@ -232,5 +231,97 @@ impl Body {
         let (one, other) = (&self.ellipsoid, &other.ellipsoid);
         // The smaller of the two ratios makes the relation symmetric.
         one.relative_difference(other).min(other.relative_difference(one)) <= Self::SAME_WITHIN
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn ellipsoid(a: f64, b: f64) -> Ellipsoid {
+        Ellipsoid::new(Meters(a), Meters(b)).unwrap()
+    }
+
+    #[test]
+    fn radii_that_make_no_oblate_ellipsoid_are_refused() {
+        for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(Ellipsoid::new(Meters(bad), Meters(1.0)).is_err(), "{bad}");
+            assert!(Ellipsoid::new(Meters(1.0), Meters(bad)).is_err(), "{bad}");
+        }
+        let prolate = Ellipsoid::new(Meters(1.0), Meters(1.0_f64.next_up()));
+        assert!(matches!(prolate, Err(EllipsoidError::Prolate { .. })));
+        assert!(serde_json::from_str::<Ellipsoid>(r#"{"a":1.0,"b":2.0}"#).is_err());
+    }
+
+    #[test]
+    fn every_known_body_parses_and_finds_its_own_name() {
+        for name in Body::NAMES {
+            let body = Body::parse(name).unwrap();
+            assert_eq!(body.name, name);
+            assert_eq!(Body::from_ellipsoid(body.ellipsoid), body);
+            assert_eq!(Body::parse(&body.ellipsoid.to_string()).unwrap(), body);
+        }
+    }
+
+    #[test]
+    fn a_body_keeps_its_own_radii_under_a_known_name() {
+        let mercury = Body::parse("2440530,2438260").unwrap();
+        assert_eq!(mercury.name, "mercury");
+        assert_eq!(mercury.ellipsoid, ellipsoid(2_440_530.0, 2_438_260.0));
+        assert_eq!(Body::from_ellipsoid(ellipsoid(3_396_000.0, 3_396_000.0)).name, "mars");
+        assert_eq!(
+            Body::from_ellipsoid(ellipsoid(3_396_190.0, 3_376_000.0)).name,
+            "mars-ellipsoid"
+        );
+        assert_eq!(Body::parse(" 252100.5 ").unwrap().name, "252100.5");
+        assert_eq!(Body::parse("5, 4").unwrap().name, "5,4");
+    }
+
+    #[test]
+    fn no_surface_is_near_to_two_known_bodies() {
+        for (i, (name, one)) in KNOWN.iter().enumerate() {
+            for (other_name, other) in &KNOWN[i + 1..] {
+                let apart = one.relative_difference(other);
+                assert!(apart > 3.0 * Body::SAME_WITHIN, "{name} and {other_name}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_radius_alone_does_not_make_two_bodies_the_same() {
+        let [sphere, flat] = ["mars", "mars-ellipsoid"].map(|name| Body::parse(name).unwrap());
+        assert!(!sphere.same_as(&flat) && !flat.same_as(&sphere));
+    }
+
+    #[test]
+    fn text_that_is_no_body_is_quoted_back() {
+        for text in ["", "vulcan", "1,2,3", "1;2", "3396190 m"] {
+            let message = Body::parse(text).unwrap_err().to_string();
+            assert!(message.contains(&format!("{text:?}")), "{message}");
+            assert!(message.contains("mars-ellipsoid"), "{message}");
+        }
+        assert!(matches!(Body::parse("1,2"), Err(BodyError::Ellipsoid(_))));
+        assert!(matches!(Body::parse("nan"), Err(BodyError::Ellipsoid(_))));
+    }
+
+    proptest! {
+        #[test]
+        fn same_as_is_symmetric(
+            a in 1.0..2.0, b in 0.5..1.0, scale_a in 0.9985..1.0015, scale_b in 0.9985..1.0015,
+        ) {
+            let one = Body::from_ellipsoid(ellipsoid(a, a * b));
+            let (a2, b2): (f64, f64) = (a * scale_a, a * b * scale_b);
+            let other = Body::from_ellipsoid(ellipsoid(a2, b2.min(a2)));
+            prop_assert_eq!(one.same_as(&other), other.same_as(&one));
+        }
+
+        #[test]
+        fn radii_read_back_to_the_last_bit(a in 1e-3..1e9, ratio in 0.01..=1.0) {
+            let ellipsoid = ellipsoid(a, a * ratio);
+            prop_assert_eq!(Body::parse(&ellipsoid.to_string()).unwrap().ellipsoid, ellipsoid);
+            let json = serde_json::to_string(&ellipsoid).unwrap();
+            prop_assert_eq!(serde_json::from_str::<Ellipsoid>(&json).unwrap(), ellipsoid);
+        }
     }
 }

@@ -145,9 +145,11 @@ impl Ellipsoid {
     /// ```
     ///
     /// F falls and is convex, so Newton's steps from any point left of the root rise to it and
-    /// never pass it. Eberly bisects; the start below is near enough for four steps on the Earth.
+    /// never pass it. Eberly bisects; the start below is near enough for three or four on the Earth.
     fn foot_of_normal(&self, r: f64, z: f64) -> ((f64, f64), (f64, f64)) {
         const MOST_STEPS: u32 = 200;
+        // After a relative step this small the error, its square, is below rounding.
+        const LAST_STEP: f64 = 1e-9;
 
         let (a, b) = (self.a().0, self.b().0);
         let (a2, b2) = (a * a, b * b);
@@ -173,7 +175,7 @@ impl Ellipsoid {
             let slope = 2.0 * (u * u / (s + focal2) + v * v / s);
             let step = f / slope;
             s += step;
-            if step <= s * f64::EPSILON {
+            if step <= s * LAST_STEP {
                 break;
             }
         }

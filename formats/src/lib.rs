@@ -20,6 +20,8 @@ pub mod codec;
 
 pub mod page;
 
+pub mod bound;
+
 pub mod compose;
 
 pub mod bounds;

@@ -1,1 +1,5 @@
-//! (to be written)
+//! Rasters in, archives out.
+//!
+//! Modules stand in the order of their dependencies: a file uses only files above it.
+
+pub mod schedule;

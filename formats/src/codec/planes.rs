@@ -136,9 +136,12 @@ mod tests {
 
     #[test]
     fn each_plane_gets_the_method_made_for_it() {
-        let noise: Vec<u8> = (0..1000_u32)
-            .map(|i| (i.wrapping_mul(0x9e37_79b9) >> 20).to_le_bytes()[0] | 1)
-            .collect();
+        let mut state = 1_u32;
+        let mut random = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            state.to_le_bytes()[3]
+        };
+        let noise: Vec<u8> = (0..1000).map(|_| random() | 1).collect();
         let sparse: Vec<u8> = noise.iter().map(|&n| if n % 16 < 3 { n } else { 0 }).collect();
         assert_eq!(check(&[0; 1000]), Method::Zero);
         assert_eq!(check(&noise), Method::Raw);

@@ -145,3 +145,26 @@ fn wrapped_degrees(angle: f64) -> f64 {
         wrapped
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every float within three ulps of a multiple of 180.
+    #[test]
+    fn degrees_wrap_into_range_at_the_seam() {
+        for halves in -8..=8 {
+            let seam = f64::from(halves) * 180.0;
+            let (mut below, mut above) = (seam, seam);
+            for _ in 0..=3 {
+                for angle in [below, above] {
+                    let wrapped = wrapped_degrees(angle);
+                    assert!((-180.0..180.0).contains(&wrapped), "{angle:?} -> {wrapped:?}");
+                    let turns = (wrapped - angle) / 360.0;
+                    assert!((turns - turns.round()).abs() < 1e-14, "{angle:?} -> {wrapped:?}");
+                }
+                (below, above) = (below.next_down(), above.next_up());
+            }
+        }
+    }
+}

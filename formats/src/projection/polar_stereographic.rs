@@ -55,7 +55,7 @@ impl PolarStereographic {
     /// 132 times that of the center.
     pub const MAX_COLATITUDE: Radians = Radians(170.0 * (std::f64::consts::PI / 180.0));
 
-    /// So far past the rim still counts, lest rounding takes away the rim itself.
+    /// So far past the rim is the rim itself, lest rounding takes it away: radians.
     const RIM_SLACK: f64 = 1e-9;
 
     pub(super) fn project(&self, ellipsoid: &Ellipsoid, position: Geographic) -> Option<MapPoint> {
@@ -74,9 +74,7 @@ impl PolarStereographic {
         let southing = -self.pole.sign() * (point.y - self.false_northing.0);
         let rho = easting.hypot(southing);
         let theta = 2.0 * half_tangent(ellipsoid, rho / self.radius_at_pole(ellipsoid)).atan();
-        if !(0.0..=Self::MAX_COLATITUDE.0 + Self::RIM_SLACK).contains(&theta) {
-            return None;
-        }
+        let theta = Self::within_rim(theta)?;
 
         // At the pole the central meridian is as good as any; atan2 would tell 0 from -0.
         let turn = if rho == 0.0 { 0.0 } else { easting.atan2(southing) };
@@ -88,8 +86,13 @@ impl PolarStereographic {
 
     /// The angle from the pole at the center, or `None` past the rim.
     pub(super) fn colatitude(&self, latitude: Radians) -> Option<f64> {
-        let theta = FRAC_PI_2 - self.pole.sign() * latitude.0;
-        (0.0..=Self::MAX_COLATITUDE.0 + Self::RIM_SLACK).contains(&theta).then_some(theta)
+        Self::within_rim(FRAC_PI_2 - self.pole.sign() * latitude.0)
+    }
+
+    /// A colatitude of the map, brought back onto the rim it misses by rounding.
+    fn within_rim(theta: f64) -> Option<f64> {
+        let on_map = (0.0..=Self::MAX_COLATITUDE.0 + Self::RIM_SLACK).contains(&theta);
+        on_map.then(|| theta.min(Self::MAX_COLATITUDE.0))
     }
 
     /// Map meters from the pole to a unit sine of the colatitude, ρ / sin θ: finite at the pole.
@@ -127,35 +130,76 @@ fn conformal_factor(ellipsoid: &Ellipsoid, tau: f64) -> f64 {
     if ellipsoid.is_sphere() {
         return 1.0;
     }
-    let e2 = ellipsoid.eccentricity_squared();
-    let e = e2.sqrt();
-    let tau2 = tau * tau;
-    (-e * (2.0 * e * tau2 / ((1.0 - e2) + (1.0 + e2) * tau2)).atanh()).exp()
+    (-conformal_exponent(ellipsoid.eccentricity_squared(), tau)).exp()
+}
+
+/// -ln E(τ), which grows from 0 at the pole to 2 e artanh e at the other.
+fn conformal_exponent(e2: f64, tau: f64) -> f64 {
+    let (e, tau2) = (e2.sqrt(), tau * tau);
+    e * (2.0 * e * tau2 / ((1.0 - e2) + (1.0 + e2) * tau2)).atanh()
 }
 
 /// The τ with τ E(τ) = `r`.
 ///
-/// Newton's method on logarithms, where the slope of ln(τ E) by ln τ is the ratio of the radii of
-/// curvature, `(1 - e²) / (1 - e² cos² θ)`, between 1 - e² and 1. Dividing by no less than one half
-/// makes every step a contraction, on any ellipsoid; on the planets the guard is idle and three
-/// steps reach the last bits. (Snyder iterates the latitude without a slope, one digit of e² a step.)
+/// Newton's method for w = ln(τ / r), the root of `w + ln E(r exp w)`. Its slope is the ratio of
+/// the radii of curvature, `(1 - e²) / (1 - e² cos² θ)`, which falls to the equator and rises past
+/// it: a step may pass the root once, and from that side none does, however flat the ellipsoid.
+/// Two or three steps reach the last bits on the planets. (Snyder iterates the latitude without a
+/// slope, which gains a factor of e² a step.)
 fn half_tangent(ellipsoid: &Ellipsoid, r: f64) -> f64 {
-    const MOST_STEPS: u32 = 100;
+    const MOST_STEPS: u32 = 50;
+    // After a step this small the error, its square, is below rounding.
+    const LAST_STEP: f64 = 1e-9;
 
     if ellipsoid.is_sphere() || r == 0.0 || !r.is_finite() {
         return r;
     }
     let e2 = ellipsoid.eccentricity_squared();
-    let mut tau = r / conformal_factor(ellipsoid, r);
+    let mut w = conformal_exponent(e2, r);
     for _ in 0..MOST_STEPS {
-        let tau2 = tau * tau;
-        let cosine = (1.0 - tau2) / (1.0 + tau2);
+        let tau = r * w.exp();
+        let cosine = (1.0 - tau * tau) / (1.0 + tau * tau);
         let slope = (1.0 - e2) / (1.0 - e2 * cosine * cosine);
-        let step = (r / (tau * conformal_factor(ellipsoid, tau))).ln() / slope.max(0.5);
-        tau *= step.exp();
-        if step.abs() <= 4.0 * f64::EPSILON {
+        let step = (conformal_exponent(e2, tau) - w) / slope;
+        w += step;
+        if step.abs() <= LAST_STEP {
             break;
         }
     }
-    tau
+    r * w.exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+
+        /// Also on pancakes, where steps pass the root.
+        #[test]
+        fn the_half_tangent_is_found_on_any_ellipsoid(
+            ratio in -1.0..0.0, exponent in -12.0..1.2,
+        ) {
+            let b = Meters(10f64.powf(ratio));
+            let ellipsoid = Ellipsoid::new(Meters(1.0), b).unwrap();
+            let tau = 10f64.powf(exponent);
+            let found = half_tangent(&ellipsoid, tau * conformal_factor(&ellipsoid, tau));
+            // artanh near 1 is worth (a / b)² rounding errors, and the slope's end as many again.
+            let tolerance = 2e-15 / ellipsoid.b().0.powi(4);
+            prop_assert!((found / tau - 1.0).abs() <= tolerance, "{ellipsoid} {tau} {found}");
+        }
+    }
+
+    #[test]
+    fn the_half_tangent_has_its_last_bits_on_the_planets() {
+        for ratio in [1.0 - 1.0 / 298.257, 0.994] {
+            let ellipsoid = Ellipsoid::new(Meters(1.0), Meters(ratio)).unwrap();
+            for tau in [1e-9, 0.01, 0.3, 1.0, 3.0, 11.0] {
+                let found = half_tangent(&ellipsoid, tau * conformal_factor(&ellipsoid, tau));
+                assert!((found / tau - 1.0).abs() <= 1e-15, "{tau} {found}");
+            }
+        }
+    }
 }

@@ -228,3 +228,107 @@ impl<'de> Deserialize<'de> for Crs {
         Ok(crs.on_body(stored.body, stored.latitudes))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_strings_of_planetary_products_are_written_as_they_are_read() {
+        for text in [
+            "+proj=longlat +R=3396190 +no_defs",
+            "+proj=longlat +datum=WGS84 +no_defs",
+            "+proj=eqc +lat_ts=-22.5 +lat_0=0 +lon_0=180 +x_0=0 +y_0=0 +R=1737400 +units=m +no_defs",
+            "+proj=stere +lat_0=90 +lon_0=0 +k=1 +x_0=0 +y_0=0 +a=3396190 +b=3376200 +units=m +no_defs",
+            "+proj=stere +lat_0=-90 +lat_ts=-71 +lon_0=0 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs",
+        ] {
+            assert_eq!(Crs::from_proj_string(text).unwrap().proj_string(), text);
+        }
+    }
+
+    /// No float of degrees becomes these radians: the products skip one float in ten.
+    #[test]
+    fn angles_that_degrees_cannot_reach_are_written_in_radians() {
+        let (mut below, mut in_radians) = (1.7_f64, 0);
+        for _ in 0..1000 {
+            let text = angle(Radians(below));
+            let text = format!("x={text}");
+            assert_eq!(Parameters::new(&text).angle("x").unwrap(), Radians(below));
+            in_radians += u32::from(text.ends_with('r'));
+            below = below.next_down();
+        }
+        assert!(in_radians > 0, "the case does not arise");
+    }
+
+    #[test]
+    fn surfaces_are_read_in_every_way_proj_writes_them() {
+        let surface = |text: &str| {
+            let crs = Crs::from_proj_string(&format!("+proj=longlat {text}")).unwrap();
+            (crs.ellipsoid.a().0, crs.ellipsoid.b().0)
+        };
+        assert_eq!(surface("+R=5"), (5.0, 5.0));
+        assert_eq!(surface("+a=5"), (5.0, 5.0));
+        assert_eq!(surface("+a=5 +b=4"), (5.0, 4.0));
+        assert_eq!(surface("+a=5 +rf=5"), (5.0, 4.0));
+        assert_eq!(surface("+a=5 +f=0"), (5.0, 5.0));
+        assert_eq!(surface("+ellps=sphere"), (6_370_997.0, 6_370_997.0));
+        assert_eq!(surface("+ellps=clrk66"), (6_378_206.4, 6_356_583.8));
+        let wgs84 = (Ellipsoid::WGS84.a().0, Ellipsoid::WGS84.b().0);
+        assert_eq!(surface("+ellps=WGS84"), wgs84);
+        assert_eq!(surface("+datum=WGS84 +towgs84=0,0,0 +type=crs"), wgs84);
+    }
+
+    #[test]
+    fn map_units_are_told_and_never_passed_over() {
+        let text = "+proj=eqc +R=3396190 +x_0=7 +units=km";
+        let (crs, meters_per_unit) = Crs::from_proj_string_with_unit(text).unwrap();
+        assert_eq!(meters_per_unit, 1000.0);
+        assert_eq!(crs, Crs::from_proj_string("+proj=eqc +R=3396190 +x_0=7").unwrap());
+        assert!(Crs::from_proj_string(text).unwrap_err().to_string().contains("1000 m"));
+
+        let degrees = Crs::from_proj_string_with_unit("+proj=longlat +R=1 +units=km").unwrap();
+        assert_eq!(degrees.1, 1.0);
+    }
+
+    #[test]
+    fn errors_name_what_was_found_and_what_is_supported() {
+        for (text, found, expected) in [
+            ("+proj=utm +zone=33 +datum=WGS84", "+proj=utm is not supported", "polar stere"),
+            ("+proj=stere +lat_0=45 +R=1", "+lat_0=45 is not supported", "+lat_0=90"),
+            ("+proj=stere +R=1", "+lat_0=0 is not supported", "+lat_0=90"),
+            ("+proj=stere +lat_0=90 +k=2 +lat_ts=70 +R=1", "+k=2 is not supported", "not both"),
+            ("+proj=stere +lat_0=90 +k=0 +R=1", "+k=0 makes no sense", "positive"),
+            ("+proj=stere +lat_0=90 +lat_ts=91 +R=1", "+lat_ts=91 makes no sense", "latitude"),
+            ("+proj=eqc +lat_ts=90 +R=1", "+lat_ts=90 makes no sense", "between the poles"),
+            ("+proj=eqc +lon_0=10d30E +R=1", "+lon_0=10d30E makes no sense", "decimal degrees"),
+            ("+proj=eqc +alpha=3 +R=1", "+alpha=3 is not supported", "lat_ts"),
+            ("+proj=longlat +R=1 +pm=paris", "+pm=paris is not supported", "+pm=0"),
+            ("+proj=longlat +R=1 +axis=neu", "+axis=neu is not supported", "enu"),
+            ("+proj=longlat +R=1 +lon_0=180", "+lon_0=180 is not supported", "+lon_0=0"),
+            ("+proj=longlat +ellps=mars", "+ellps=mars is not supported", "WGS84"),
+            ("+proj=longlat +datum=NAD27", "+datum=NAD27 is not supported", "NAD83"),
+            ("+proj=eqc +R=1 +units=link", "+units=link is not supported", "us-ft"),
+            ("+proj=longlat +a=wide", "+a=wide makes no sense", "a finite number"),
+            ("+proj=longlat +a=1 +b=2", "the surface makes no sense", "prolate"),
+            ("+proj=longlat", "no +R", "+datum"),
+            ("EPSG:4326", "no +proj", "EPSG:4326"),
+            ("", "no +proj", ""),
+        ] {
+            let message = Crs::from_proj_string(text).unwrap_err().to_string();
+            assert!(message.contains(found) && message.contains(expected), "{text}: {message}");
+        }
+    }
+
+    #[test]
+    fn a_system_is_stored_with_its_body_and_latitudes() {
+        let body = Ellipsoid::new(Meters(3_396_190.0), Meters(3_376_200.0)).unwrap();
+        let crs = Crs::from_proj_string("+proj=longlat +R=3396190").unwrap();
+        let json = serde_json::to_value(crs.on_body(body, LatitudeKind::Planetocentric)).unwrap();
+        let expected = serde_json::json!({
+            "proj": "+proj=longlat +R=3396190 +no_defs",
+            "latitudes": "planetocentric",
+            "body": { "a": 3_396_190.0, "b": 3_376_200.0 },
+        });
+        assert_eq!(json, expected);
+    }
+}

@@ -1,0 +1,361 @@
+//! In what order pages are made: a function of the grid and nothing else.
+//!
+//! ```text
+//!   read ──▶ settled ──▶ whole
+//!   (leaf)   its coverage   its window: all it
+//!            is known       borders on is settled
+//! ```
+//!
+//! Leaves are read in work units of 8 × 8, units and leaves along the Z-order curve. A leaf is
+//! *settled* when everything within the feather's reach has been read, a coarser page when its
+//! children are. A page is *whole*, and its record can be written, when every page it borders on
+//! is settled and its children are whole. [`Schedule`] says after each unit what has become
+//! settled and whole, finest level first and by key within a level, and what is not needed any
+//! more. No texel is touched here.
+
+use std::collections::HashMap;
+
+use areoid_formats::address::{Level, PageAddress, PageKey};
+use areoid_formats::pyramid::{PoleContact, Pyramid};
+
+/// What one work unit brings.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Step {
+    /// Leaves to read.
+    pub read: Vec<PageAddress>,
+    /// Pages that become settled, finest level first.
+    pub settled: Vec<PageAddress>,
+    /// Pages that become whole, finest level first.
+    pub whole: Vec<PageAddress>,
+    /// Leaves whose validity nobody needs after this step.
+    pub forget_read: Vec<PageAddress>,
+    /// Pages whose interior nobody needs after this step.
+    pub forget_settled: Vec<PageAddress>,
+    /// Pages whose window and intervals nobody needs after this step.
+    pub forget_whole: Vec<PageAddress>,
+}
+
+/// The steps of a build, one for each work unit.
+#[derive(Debug)]
+pub struct Schedule {
+    pyramid: Pyramid,
+    unit_pages: u32,
+    halo: u32,
+    /// Keys of the units still to come, in reverse.
+    units: Vec<PageKey>,
+    /// How much each page still waits for; pages that nothing has happened to are absent.
+    unread: HashMap<PageAddress, usize>,
+    unsettled_children: HashMap<PageAddress, usize>,
+    unsettled_sources: HashMap<PageAddress, usize>,
+    unfinished_children: HashMap<PageAddress, usize>,
+    /// How many still need each page.
+    readers: HashMap<PageAddress, usize>,
+    viewers: HashMap<PageAddress, usize>,
+}
+
+impl Schedule {
+    /// The schedule of `pyramid` in units of `unit_pages` leaves a side, with coverage that
+    /// depends on the validity of everything up to `halo` texels away at the finest level.
+    #[must_use]
+    pub fn new(pyramid: &Pyramid, unit_pages: u32, halo: u32) -> Self {
+        let (rows, cols) = pyramid.pages(pyramid.finest()).expect("a pyramid has a finest level");
+        let (rows, cols) = (rows.div_ceil(unit_pages), cols.div_ceil(unit_pages));
+        let unit = |row, col| PageKey::from(PageAddress::new(Level(0), row, col));
+        let mut units: Vec<PageKey> =
+            (0..rows).flat_map(|row| (0..cols).map(move |col| unit(row, col))).collect();
+        units.sort_unstable_by_key(|&key| std::cmp::Reverse(key));
+        Self {
+            pyramid: pyramid.clone(),
+            unit_pages,
+            halo,
+            units,
+            unread: HashMap::new(),
+            unsettled_children: HashMap::new(),
+            unsettled_sources: HashMap::new(),
+            unfinished_children: HashMap::new(),
+            readers: HashMap::new(),
+            viewers: HashMap::new(),
+        }
+    }
+
+    /// Units still to come.
+    #[must_use]
+    pub fn remaining(&self) -> usize {
+        self.units.len()
+    }
+
+    /// The leaves of a unit, along the curve.
+    fn leaves(&self, unit: PageKey) -> Vec<PageAddress> {
+        let unit = PageAddress::from(unit);
+        let (row, col) = (unit.row * self.unit_pages, unit.col * self.unit_pages);
+        let level = self.pyramid.finest();
+        let mut leaves: Vec<PageAddress> = (row..row + self.unit_pages)
+            .flat_map(|row| {
+                (col..col + self.unit_pages).map(move |col| PageAddress::new(level, row, col))
+            })
+            .filter(|&page| self.pyramid.contains(page))
+            .collect();
+        leaves.sort_unstable_by_key(|&page| PageKey::from(page));
+        leaves
+    }
+
+    fn settle_leaves(&mut self, step: &mut Step) {
+        for &leaf in &step.read {
+            self.readers.insert(leaf, users(&self.pyramid, leaf, self.halo).len());
+            for user in users(&self.pyramid, leaf, self.halo) {
+                let (pyramid, halo) = (&self.pyramid, self.halo);
+                if count_down(&mut self.unread, user, || pyramid.sources(user, halo).len()) {
+                    step.settled.push(user);
+                }
+            }
+        }
+        sort(&mut step.settled);
+        for &page in &step.settled {
+            self.expect_viewers(page);
+            for source in self.pyramid.sources(page, self.halo) {
+                if count_down(&mut self.readers, source, || unreachable!("it was read")) {
+                    step.forget_read.push(source);
+                }
+            }
+        }
+    }
+
+    /// Settles parents of what is settled, level by level.
+    fn settle_parents(&mut self, step: &mut Step) {
+        let mut start = 0;
+        while start < step.settled.len() {
+            let end = step.settled.len();
+            let mut parents = Vec::new();
+            for page in step.settled[start..end].iter().copied() {
+                let Some(parent) = page.parent() else { continue };
+                let pyramid = &self.pyramid;
+                let children = || pyramid.children(parent).count();
+                if count_down(&mut self.unsettled_children, parent, children) {
+                    parents.push(parent);
+                }
+            }
+            sort(&mut parents);
+            for &parent in &parents {
+                self.expect_viewers(parent);
+                for child in self.pyramid.children(parent) {
+                    if count_down(&mut self.viewers, child, || unreachable!("it is settled")) {
+                        step.forget_settled.push(child);
+                    }
+                }
+            }
+            step.settled.append(&mut parents);
+            start = end;
+        }
+    }
+
+    /// A settled page is looked at by the windows that show it, and by its parent.
+    fn expect_viewers(&mut self, page: PageAddress) {
+        let windows = users(&self.pyramid, page, Pyramid::BORDER).len();
+        self.viewers.insert(page, windows + usize::from(page.level != Level(0)));
+    }
+
+    fn finish_pages(&mut self, step: &mut Step) {
+        let mut ready: HashMap<Level, Vec<PageAddress>> = HashMap::new();
+        for &page in &step.settled {
+            for user in users(&self.pyramid, page, Pyramid::BORDER) {
+                let pyramid = &self.pyramid;
+                let sources = || pyramid.sources(user, Pyramid::BORDER).len();
+                if count_down(&mut self.unsettled_sources, user, sources) {
+                    let is_leaf = user.level == pyramid.finest();
+                    let children = || 1 + pyramid.children(user).count();
+                    if is_leaf || count_down(&mut self.unfinished_children, user, children) {
+                        ready.entry(user.level).or_default().push(user);
+                    }
+                }
+            }
+        }
+        let mut level = Some(self.pyramid.finest());
+        while let Some(current) = level {
+            let mut pages = ready.remove(&current).unwrap_or_default();
+            sort(&mut pages);
+            for &page in &pages {
+                for source in self.pyramid.sources(page, Pyramid::BORDER) {
+                    if count_down(&mut self.viewers, source, || unreachable!("it is settled")) {
+                        step.forget_settled.push(source);
+                    }
+                }
+                step.forget_whole.extend(self.pyramid.children(page));
+                if let Some(parent) = page.parent() {
+                    let pyramid = &self.pyramid;
+                    let children = || 1 + pyramid.children(parent).count();
+                    if count_down(&mut self.unfinished_children, parent, children) {
+                        ready.entry(parent.level).or_default().push(parent);
+                    }
+                } else {
+                    step.forget_whole.push(page);
+                }
+            }
+            step.whole.append(&mut pages);
+            level = current.coarser();
+        }
+    }
+}
+
+impl Iterator for Schedule {
+    type Item = Step;
+
+    fn next(&mut self) -> Option<Step> {
+        let unit = self.units.pop()?;
+        let mut step = Step { read: self.leaves(unit), ..Step::default() };
+        self.settle_leaves(&mut step);
+        self.settle_parents(&mut step);
+        self.finish_pages(&mut step);
+        Some(step)
+    }
+}
+
+/// Counts `page` down, from `start` if this is the first time; true, and forgotten, at zero.
+fn count_down(
+    counts: &mut HashMap<PageAddress, usize>,
+    page: PageAddress,
+    start: impl FnOnce() -> usize,
+) -> bool {
+    let count = counts.entry(page).or_insert_with(start);
+    *count -= 1;
+    let done = *count == 0;
+    if done {
+        counts.remove(&page);
+    }
+    done
+}
+
+fn sort(pages: &mut [PageAddress]) {
+    pages.sort_unstable_by_key(|&page| PageKey::from(page));
+}
+
+/// The pages that have `page` among their [`sources`](Pyramid::sources) at `halo`.
+fn users(pyramid: &Pyramid, page: PageAddress, halo: u32) -> Vec<PageAddress> {
+    let (rows, cols) = pyramid.pages(page.level).expect("the page is this pyramid's");
+    // A window and its halo reach so many pages; one more where the last page is a sliver.
+    let reach = (halo + pyramid.interior()).div_ceil(pyramid.interior()) + 1;
+    let extent = pyramid.extent();
+    let near_north = extent.north != PoleContact::None && page.row <= 2 * reach;
+    let near_south = extent.south != PoleContact::None && page.row + 2 * reach + 1 >= rows;
+
+    let mut candidates: Vec<(u32, u32)> = Vec::new();
+    for row in page.row.saturating_sub(2 * reach)..(page.row + 2 * reach + 1).min(rows) {
+        let straight = row.abs_diff(page.row) <= reach;
+        if near_north && row <= 2 * reach || near_south && row + 2 * reach + 1 >= rows {
+            candidates.extend((0..cols).map(|col| (row, col)));
+        } else if straight {
+            let (first, last) = (i64::from(page.col) - i64::from(reach), page.col + reach);
+            for col in first..=i64::from(last) {
+                let inside = (0..i64::from(cols)).contains(&col);
+                if inside || extent.wraps {
+                    let col = col.rem_euclid(i64::from(cols));
+                    candidates.push((row, u32::try_from(col).expect("a column of the level")));
+                }
+            }
+        }
+    }
+    candidates.sort_unstable();
+    candidates.dedup();
+    candidates
+        .into_iter()
+        .map(|(row, col)| PageAddress::new(page.level, row, col))
+        .filter(|&user| pyramid.sources(user, halo).binary_search(&page).is_ok())
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use areoid_formats::pyramid::Extent;
+    use std::collections::HashSet;
+
+    fn pyramids() -> Vec<Pyramid> {
+        let none = PoleContact::None;
+        let region = |width, height| Extent { width, height, wraps: false, north: none, south: none };
+        let globe = |width, height, contact| Extent {
+            width,
+            height,
+            wraps: true,
+            north: contact,
+            south: contact,
+        };
+        let extents = [
+            region(1, 1),
+            region(100, 3),
+            region(57, 83),
+            region(129, 40),
+            globe(64, 32, PoleContact::Outline),
+            globe(64, 33, PoleContact::Posts),
+            globe(128, 64, PoleContact::Outline),
+            globe(40, 30, none),
+            Extent { south: none, ..globe(96, 41, PoleContact::Outline) },
+        ];
+        extents
+            .into_iter()
+            .flat_map(|extent| [10, 18].map(|side| Pyramid::new(extent, side)))
+            .filter_map(Result::ok)
+            .collect()
+    }
+
+    fn all_pages(pyramid: &Pyramid, level: Level) -> Vec<PageAddress> {
+        let (rows, cols) = pyramid.pages(level).unwrap();
+        (0..rows).flat_map(|r| (0..cols).map(move |c| PageAddress::new(level, r, c))).collect()
+    }
+
+    #[test]
+    fn users_are_the_inverse_of_sources() {
+        for pyramid in pyramids() {
+            for level in pyramid.levels() {
+                for halo in [1, 5, 12] {
+                    for page in all_pages(&pyramid, level) {
+                        let expected: Vec<PageAddress> = all_pages(&pyramid, level)
+                            .into_iter()
+                            .filter(|&user| pyramid.sources(user, halo).contains(&page))
+                            .collect();
+                        assert_eq!(users(&pyramid, page, halo), expected, "{page} {pyramid:?}");
+                    }
+                }
+            }
+        }
+    }
+
+    /// Plays a schedule and checks that nothing is used before it is there or after it is gone,
+    /// that everything comes once, and that nothing is kept.
+    #[test]
+    fn every_page_is_made_once_from_what_is_there() {
+        for pyramid in pyramids() {
+            for (unit, halo) in [(8, 5), (2, 1), (1, 12)] {
+                let (mut read, mut settled, mut whole) =
+                    (HashSet::new(), HashSet::new(), HashSet::new());
+                let mut made = 0;
+                for step in Schedule::new(&pyramid, unit, halo) {
+                    read.extend(step.read);
+                    for page in step.settled {
+                        if page.level == pyramid.finest() {
+                            for source in pyramid.sources(page, halo) {
+                                assert!(read.contains(&source), "{source} for {page}");
+                            }
+                        } else {
+                            assert!(pyramid.children(page).all(|child| settled.contains(&child)));
+                        }
+                        assert!(settled.insert(page));
+                    }
+                    for page in step.whole {
+                        for source in pyramid.sources(page, 1) {
+                            assert!(settled.contains(&source), "{source} for {page}");
+                        }
+                        assert!(pyramid.children(page).all(|child| whole.contains(&child)));
+                        assert!(whole.insert(page));
+                        made += 1;
+                    }
+                    step.forget_read.iter().for_each(|page| assert!(read.remove(page)));
+                    step.forget_settled.iter().for_each(|page| assert!(settled.remove(page)));
+                    step.forget_whole.iter().for_each(|page| assert!(whole.remove(page)));
+                }
+                let pages: usize =
+                    pyramid.levels().map(|level| all_pages(&pyramid, level).len()).sum();
+                assert_eq!(made, pages);
+                assert_eq!((read.len(), settled.len(), whole.len()), (0, 0, 0), "{pyramid:?}");
+            }
+        }
+    }
+}
