@@ -24,6 +24,14 @@ pub mod bound;
 
 pub mod compose;
 
+pub mod bounds;
+
+mod footprint;
+
+pub mod volume;
+
+pub mod bvh;
+
 pub mod storage;
 
 pub mod archive;

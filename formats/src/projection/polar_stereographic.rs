@@ -104,7 +104,7 @@ impl PolarStereographic {
     }
 
     /// 2 k0 a² / b: map meters to a unit of τ, next to the pole.
-    fn radius_at_pole(&self, ellipsoid: &Ellipsoid) -> f64 {
+    pub(crate) fn radius_at_pole(&self, ellipsoid: &Ellipsoid) -> f64 {
         let (a, b) = (ellipsoid.a().0, ellipsoid.b().0);
         2.0 * a * (a / b) * self.scale_at_pole(ellipsoid)
     }

@@ -1,0 +1,198 @@
+//! Loads on threads that may wait: at most so many at a time, the most urgent first.
+//!
+//! ```text
+//!   sessions ──wake──▶ dispatcher ──reserve──▶ blocking thread: read ▶ prove ▶ decode ──▶ store
+//!                          ▲                                                      │
+//!                          └──────────────── wake, news ◀─────────────────────────┘
+//! ```
+//!
+//! The store's lock is held for table work alone, never across a read or a decode.
+
+use std::sync::atomic::AtomicUsize;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use areoid_formats::archive::{ArchiveError, decode_page};
+use tokio::runtime::Handle;
+use tokio::sync::{Notify, watch};
+use tracing::{debug, trace};
+
+use crate::scene::Scene;
+use crate::selection::ResidentPage;
+use crate::store::{Outcome, PageName, Request, Stats, Store, Work};
+
+/// What sessions and loads share.
+#[derive(Debug)]
+pub(crate) struct Shared {
+    store: Mutex<Store>,
+    scene: Mutex<Arc<Scene>>,
+    wake: Notify,
+    /// Counts everything that may change a selection.
+    news: watch::Sender<u64>,
+    pub(crate) sessions: AtomicUsize,
+    most_loads: usize,
+}
+
+impl Shared {
+    pub(crate) fn new(scene: Scene, budget_bytes: usize, most_loads: usize) -> Self {
+        Self {
+            store: Mutex::new(Store::new(budget_bytes)),
+            scene: Mutex::new(Arc::new(scene)),
+            wake: Notify::new(),
+            news: watch::Sender::new(0),
+            sessions: AtomicUsize::new(0),
+            most_loads: most_loads.max(1),
+        }
+    }
+
+    /// Waits for whoever else works on the tables: microseconds, but never for the frame.
+    pub(crate) fn store(&self) -> MutexGuard<'_, Store> {
+        // Every change leaves the tables whole before it can panic, but for a passed budget.
+        self.store.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The tables, if nobody works on them.
+    pub(crate) fn try_store(&self) -> Option<MutexGuard<'_, Store>> {
+        match self.store.try_lock() {
+            Ok(store) => Some(store),
+            Err(std::sync::TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
+            Err(std::sync::TryLockError::WouldBlock) => None,
+        }
+    }
+
+    pub(crate) fn scene(&self) -> Arc<Scene> {
+        Arc::clone(&self.scene.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// The datasets of now, if nobody is just replacing them.
+    pub(crate) fn try_scene(&self) -> Option<Arc<Scene>> {
+        self.scene.try_lock().ok().map(|scene| Arc::clone(&scene))
+    }
+
+    /// Makes another scene visible to every session, unless it does not follow from the present
+    /// one; whether it did.
+    pub(crate) fn replace_scene(&self, before: &Arc<Scene>, after: Scene) -> bool {
+        let mut scene = self.scene.lock().unwrap_or_else(PoisonError::into_inner);
+        let current = Arc::ptr_eq(&scene, before);
+        if current {
+            *scene = Arc::new(after);
+        }
+        drop(scene);
+        self.tell();
+        current
+    }
+
+    pub(crate) fn stats(&self) -> Stats {
+        self.store().stats
+    }
+
+    pub(crate) fn subscribe(&self) -> watch::Receiver<u64> {
+        self.news.subscribe()
+    }
+
+    /// There are requests, or memory for them.
+    pub(crate) fn wake(&self) {
+        self.wake.notify_one();
+    }
+
+    fn tell(&self) {
+        self.news.send_modify(|news| *news = news.wrapping_add(1));
+    }
+
+    /// Starts loads for as long as the runtime lives.
+    ///
+    /// # Cancel safety
+    ///
+    /// Dropping it between loads starts no more; those under way end in the store.
+    pub(crate) async fn dispatch(self: Arc<Self>) {
+        let runtime = Handle::current();
+        loop {
+            self.wake.notified().await;
+            loop {
+                let (request, stalled) = {
+                    let mut store = self.store();
+                    (store.next(self.most_loads), store.stalled)
+                };
+                let Some(request) = request else {
+                    if stalled {
+                        self.tell();
+                    }
+                    break;
+                };
+                let load = Load { shared: Arc::clone(&self), work: request.work, ended: false };
+                runtime.spawn_blocking(move || load.run(&request));
+            }
+        }
+    }
+}
+
+/// A load under way. Dropped before its end, it fails: memory and waiters are not forgotten.
+struct Load {
+    shared: Arc<Shared>,
+    work: Work,
+    ended: bool,
+}
+
+impl Load {
+    fn run(mut self, request: &Request) {
+        let PageName { dataset, page } = self.work.name();
+        let outcome = match self.read(request) {
+            Ok(outcome) => outcome,
+            Err(error) => {
+                debug!(dataset, %page, error = &error as &dyn std::error::Error, "load failed");
+                Outcome::Failed(in_words(&error).into())
+            }
+        };
+        self.ended = true;
+        if let Outcome::Cancelled = outcome {
+            // Ended in the store already, in one step with the look at who wants it.
+            return;
+        }
+        self.shared.store().finish(self.work, outcome);
+        trace!(dataset, %page, "loaded");
+    }
+
+    fn read(&self, request: &Request) -> Result<Outcome, ArchiveError> {
+        let PageName { dataset, page } = self.work.name();
+        let scene = self.shared.scene();
+        let archive = &scene.datasets[dataset].archive;
+        if self.shared.store().cancel_if_unwanted(self.work) {
+            return Ok(Outcome::Cancelled);
+        }
+        if let Work::Children(_) = self.work {
+            for child in archive.description().grid.pyramid().children(page) {
+                archive.find(child)?;
+            }
+            return Ok(Outcome::Loaded(None));
+        }
+        let payload = archive.payload(&request.entry)?;
+        if self.shared.store().cancel_if_unwanted(self.work) {
+            return Ok(Outcome::Cancelled);
+        }
+        let texels = decode_page(archive.description(), &request.entry, &payload)?;
+        let resident = ResidentPage { dataset, entry: request.entry, page: texels };
+        Ok(Outcome::Loaded(Some(Arc::new(resident))))
+    }
+}
+
+impl Drop for Load {
+    fn drop(&mut self) {
+        // A second end could be that of the next load of the same page.
+        if !self.ended {
+            let failed = Outcome::Failed("the load was given up".into());
+            self.shared.store().finish(self.work, failed);
+        }
+        self.shared.wake();
+        self.shared.tell();
+    }
+}
+
+/// An error and its causes on one line.
+fn in_words(error: &dyn std::error::Error) -> String {
+    let mut words = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        words = format!("{words}: {error}");
+        cause = error.source();
+    }
+    words
+}

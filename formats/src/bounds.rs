@@ -1,0 +1,217 @@
+//! Boxes around things, and half spaces to tell them apart by.
+//!
+//! Everything is in body-fixed meters, and everything errs on the safe side by rounding alone:
+//! whoever makes a box adds the slack.
+
+use glam::{DMat3, DVec3};
+use serde::{Deserialize, Serialize};
+
+/// The points `p` with `normal · p >= offset`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HalfSpace {
+    /// Points into the half space; of any length but 0.
+    pub normal: DVec3,
+    /// In meters times the length of `normal`.
+    pub offset: f64,
+}
+
+impl HalfSpace {
+    /// The half space that `normal` points into from `point`.
+    #[must_use]
+    pub fn through(point: DVec3, normal: DVec3) -> Self {
+        Self { normal, offset: normal.dot(point) }
+    }
+}
+
+/// A box along the axes of body-fixed space.
+///
+/// The empty box has its least above its greatest coordinates and contains nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Aabb {
+    /// Least coordinates, in meters.
+    pub min: [f64; 3],
+    /// Greatest coordinates, in meters.
+    pub max: [f64; 3],
+}
+
+impl Aabb {
+    /// The box that contains nothing.
+    pub const EMPTY: Self = Self { min: [f64::INFINITY; 3], max: [f64::NEG_INFINITY; 3] };
+
+    /// The box with two opposite corners.
+    #[must_use]
+    pub fn new(min: DVec3, max: DVec3) -> Self {
+        Self { min: min.to_array(), max: max.to_array() }
+    }
+
+    /// Whether the box contains nothing.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        (0..3).any(|axis| self.min[axis] > self.max[axis])
+    }
+
+    /// The least box around both.
+    #[must_use]
+    pub fn union(&self, other: &Self) -> Self {
+        let (min, max) = (self.least().min(other.least()), self.greatest().max(other.greatest()));
+        Self::new(min, max)
+    }
+
+    /// Half the area of the surface, in square meters: what the cost of a tree counts in.
+    #[must_use]
+    pub fn half_area(&self) -> f64 {
+        let size = (self.greatest() - self.least()).max(DVec3::ZERO);
+        size.x * size.y + size.y * size.z + size.z * size.x
+    }
+
+    /// The middle of the box.
+    #[must_use]
+    pub fn center(&self) -> DVec3 {
+        0.5 * (self.least() + self.greatest())
+    }
+
+    /// Whether `other` lies in this box.
+    #[must_use]
+    pub fn contains(&self, other: &Self) -> bool {
+        other.is_empty()
+            || (self.least().cmple(other.least()) & self.greatest().cmpge(other.greatest())).all()
+    }
+
+    /// Whether the boxes have a point in common.
+    #[must_use]
+    pub fn meets(&self, other: &Self) -> bool {
+        (self.least().cmple(other.greatest()) & self.greatest().cmpge(other.least())).all()
+    }
+
+    /// How far away the nearest point of the box is.
+    #[must_use]
+    pub fn distance_from(&self, eye: DVec3) -> f64 {
+        (self.least() - eye).max(eye - self.greatest()).max(DVec3::ZERO).length()
+    }
+
+    /// The greatest `direction · p` over the points of the box.
+    #[must_use]
+    pub fn farthest_along(&self, direction: DVec3) -> f64 {
+        (direction * self.least()).max(direction * self.greatest()).element_sum()
+    }
+
+    /// Whether the box lies wholly outside one of the half spaces.
+    #[must_use]
+    pub fn outside(&self, frustum: &[HalfSpace]) -> bool {
+        frustum.iter().any(|side| self.farthest_along(side.normal) < side.offset)
+    }
+
+    fn least(&self) -> DVec3 {
+        DVec3::from_array(self.min)
+    }
+
+    fn greatest(&self) -> DVec3 {
+        DVec3::from_array(self.max)
+    }
+}
+
+/// A box along axes of its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OrientedBox {
+    /// The middle of the box.
+    pub center: DVec3,
+    /// Unit vectors along the edges, at right angles.
+    pub axes: DMat3,
+    /// Half the length of the edges.
+    pub half: DVec3,
+}
+
+impl OrientedBox {
+    /// The box whose extents along `axes` are `min` to `max`.
+    #[must_use]
+    pub fn from_extents(axes: DMat3, min: DVec3, max: DVec3) -> Self {
+        Self { center: axes * (0.5 * (min + max)), axes, half: 0.5 * (max - min) }
+    }
+
+    /// The radius of the sphere around [`Self::center`] that touches the corners.
+    #[must_use]
+    pub fn radius(&self) -> f64 {
+        self.half.length()
+    }
+
+    /// How far away the nearest point of the box is.
+    #[must_use]
+    pub fn distance_from(&self, eye: DVec3) -> f64 {
+        let eye_in_box = self.axes.transpose_mul_vec3(eye - self.center);
+        (eye_in_box.abs() - self.half).max(DVec3::ZERO).length()
+    }
+
+    /// The greatest `direction · p` over the points of the box.
+    #[must_use]
+    pub fn farthest_along(&self, direction: DVec3) -> f64 {
+        let along = self.axes.transpose_mul_vec3(direction);
+        direction.dot(self.center) + along.abs().dot(self.half)
+    }
+
+    /// The corners.
+    #[must_use]
+    pub fn corners(&self) -> [DVec3; 8] {
+        std::array::from_fn(|corner| {
+            let side = |bit: usize| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
+            let corner_in_box = self.half * DVec3::new(side(0), side(1), side(2));
+            self.center + self.axes * corner_in_box
+        })
+    }
+
+    /// The least box along body-fixed axes around this one.
+    #[must_use]
+    pub fn aabb(&self) -> Aabb {
+        let [x, y, z] = [self.axes.x_axis, self.axes.y_axis, self.axes.z_axis].map(DVec3::abs);
+        let half = x * self.half.x + y * self.half.y + z * self.half.z;
+        Aabb::new(self.center - half, self.center + half)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn vector() -> impl Strategy<Value = DVec3> {
+        prop::array::uniform3(-10.0..10.0).prop_map(DVec3::from_array)
+    }
+
+    fn oriented() -> impl Strategy<Value = OrientedBox> {
+        (vector(), vector(), prop::array::uniform3(0.0..5.0)).prop_map(|(center, turn, half)| {
+            let axes = DMat3::from_rotation_x(turn.x) * DMat3::from_rotation_z(turn.z);
+            OrientedBox { center, axes, half: DVec3::from_array(half) }
+        })
+    }
+
+    #[test]
+    fn nothing_is_in_the_empty_box() {
+        let unit = Aabb::new(DVec3::ZERO, DVec3::ONE);
+        assert!(Aabb::EMPTY.is_empty() && !unit.is_empty());
+        assert_eq!(Aabb::EMPTY.union(&unit), unit);
+        assert_eq!(Aabb::EMPTY.half_area(), 0.0);
+        assert!(unit.contains(&Aabb::EMPTY) && !Aabb::EMPTY.contains(&unit));
+        assert!(!unit.meets(&Aabb::EMPTY));
+    }
+
+    proptest! {
+        #[test]
+        fn an_oriented_box_lies_in_its_aligned_one(
+            volume in oriented(), eye in vector(), direction in vector(),
+        ) {
+            let aabb = volume.aabb();
+            prop_assert!(aabb.distance_from(eye) <= volume.distance_from(eye) + 1e-9);
+            prop_assert!(aabb.farthest_along(direction) >= volume.farthest_along(direction) - 1e-9);
+            let (mut nearest, mut farthest) = (f64::INFINITY, f64::NEG_INFINITY);
+            for corner in volume.corners() {
+                prop_assert!(aabb.distance_from(corner) < 1e-9);
+                prop_assert!((corner.distance(volume.center) - volume.radius()).abs() < 1e-9);
+                nearest = nearest.min(corner.distance(eye));
+                farthest = farthest.max(corner.dot(direction));
+            }
+            prop_assert!(volume.distance_from(eye) <= nearest + 1e-9);
+            prop_assert!((volume.farthest_along(direction) - farthest).abs() < 1e-9);
+            let side = HalfSpace::through(eye, direction);
+            prop_assert_eq!(aabb.outside(&[side]), aabb.farthest_along(direction) < side.offset);
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! The space that a page can occupy, and what follows from it about a view.
+//!
+//! The volume of a page is the shell of its footprint between the lowest and the highest height of
+//! the finest data under it. It is a *set*: a parent's contains its children's, because footprints
+//! and heights nest. What stands here is an oriented box around that set,
+//!
+//! ```text
+//!              up
+//!         _____|_____
+//!        |   .-^-.   |   <- highest, over the middle of the footprint
+//!        | .'_____'. |
+//!        |/_/     \_\|   <- lowest, at its corners
+//! ```
+//!
+//! and the set's greatest distance from the body's center. Every answer errs on the safe side:
+//! distances are too small, angles too large, and what is called hidden or outside is. Boxes of
+//! children may stick out of their parent's; a search that wants monotone answers keeps the
+//! parent's where it is the stricter.
+//!
+//! # Conventions
+//!
+//! Body-fixed meters from the body's center; heights are along the ellipsoid's normal.
+//!
+//! # References
+//!
+//! * P-BDAM: nested volumes and errors.
+//! * Virtual Globes, section 4.4: culling behind the horizon of an inscribed sphere.
+
+use glam::{DMat3, DVec3};
+
+use crate::address::PageAddress;
+use crate::bounds::{Aabb, HalfSpace, OrientedBox};
+use crate::footprint::{Extents, Footprint};
+use crate::geodesy::Geographic;
+use crate::grid::Grid;
+use crate::units::{Meters, Radians};
+
+/// A box around the shell of a page's footprint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Volume {
+    bounds: OrientedBox,
+    greatest_radius: f64,
+}
+
+/// What an eye sees past the limb of a sphere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Horizon {
+    /// n, from the body's center to the eye.
+    toward_eye: DVec3,
+    radius2: f64,
+    /// r² / d_c and √(1 - r² / d_c²).
+    plane: f64,
+    sine: f64,
+}
+
+impl Horizon {
+    /// The horizon of a sphere of `radius` that lies below all terrain, or `None` for an eye in it.
+    #[must_use]
+    pub fn new(eye: DVec3, radius: Meters) -> Option<Self> {
+        let distance = eye.length();
+        if distance <= radius.0 || radius.0 <= 0.0 {
+            return None;
+        }
+        let cosine = radius.0 / distance;
+        Some(Self {
+            toward_eye: eye / distance,
+            radius2: radius.0 * radius.0,
+            plane: radius.0 * cosine,
+            sine: ((1.0 - cosine) * (1.0 + cosine)).sqrt(),
+        })
+    }
+
+    /// Whether the sphere hides everything that reaches no farther than `along` toward the eye, and
+    /// `greatest_radius` from the body's center: DESIGN §5.
+    ///
+    /// A point at the angle γ from n is hidden from γ₁ + γ₂ on, cos γ₁ = r/d_c, cos γ₂ = r/ρ; the
+    /// formula is the cosine of that sum, times ρ.
+    #[must_use]
+    fn hides(&self, along: f64, greatest_radius: f64) -> bool {
+        let over = (greatest_radius * greatest_radius - self.radius2).max(0.0).sqrt();
+        along < self.plane - self.sine * over
+    }
+
+    /// Whether the sphere hides a box, of which nothing is farther than `greatest_radius` from the
+    /// body's center.
+    #[must_use]
+    pub fn hides_box(&self, bounds: &Aabb, greatest_radius: Meters) -> bool {
+        self.hides(bounds.farthest_along(self.toward_eye), greatest_radius.0)
+    }
+}
+
+impl Volume {
+    /// What boxes are enlarged by, relative to the body: the precision of the projections.
+    const SLACK: f64 = 1e-9;
+
+    /// The volume of `page` between two heights, which for a page of colors are those of the
+    /// terrain it lies on.
+    ///
+    /// # Domain
+    ///
+    /// Any page of the grid's pyramid. Heights that are no numbers, or below the centers of
+    /// curvature, make a volume around the whole body.
+    ///
+    /// # Precision
+    ///
+    /// On a map of longitudes and latitudes the box touches the shell on all its sides. On a polar
+    /// map it is larger by at most a hundredth of the page's side while the page is smaller than
+    /// the body's radius.
+    #[must_use]
+    pub fn new(grid: &Grid, page: PageAddress, lowest: Meters, highest: Meters) -> Self {
+        let body = &grid.crs().body;
+        let (a, b) = (body.a().0, body.b().0);
+        let heights = [lowest.0.min(highest.0), lowest.0.max(highest.0)];
+        let slack = Self::SLACK * a;
+        let numbers = lowest.0.is_finite() && highest.0.is_finite();
+        let shell = numbers && heights[0] > -b * (b / a);
+        let footprint = if shell { Footprint::new(grid, page) } else { Footprint::Anywhere };
+
+        let highest = if numbers { heights[1].max(0.0) } else { a };
+        let latitude = Radians(footprint.lowest_latitude());
+        let position = Geographic { longitude: Radians(0.0), latitude };
+        let greatest_radius = match footprint {
+            Footprint::Anywhere => a + highest,
+            _ => body.cartesian_from_geographic(position, Meters(heights[1])).length(),
+        } + slack;
+
+        let reach = DVec3::splat(greatest_radius);
+        let extents = footprint.extents(body, heights).unwrap_or(Extents {
+            axes: DMat3::IDENTITY,
+            min: -reach,
+            max: reach,
+        });
+        let min = (extents.min - DVec3::splat(slack)).max(-reach);
+        let max = (extents.max + DVec3::splat(slack)).min(reach);
+        Self { bounds: OrientedBox::from_extents(extents.axes, min, max), greatest_radius }
+    }
+
+    /// The box.
+    #[must_use]
+    pub fn bounds(&self) -> &OrientedBox {
+        &self.bounds
+    }
+
+    /// A bound on the distance of its points from the body's center.
+    #[must_use]
+    pub fn greatest_radius(&self) -> Meters {
+        Meters(self.greatest_radius)
+    }
+
+    /// The box along body-fixed axes.
+    #[must_use]
+    pub fn aabb(&self) -> Aabb {
+        self.bounds.aabb()
+    }
+
+    /// At most the distance from `eye` to the nearest point.
+    #[must_use]
+    pub fn distance_from(&self, eye: DVec3) -> Meters {
+        let above = eye.length() - self.greatest_radius;
+        Meters(self.bounds.distance_from(eye).max(above))
+    }
+
+    /// Whether `horizon` hides all of it.
+    #[must_use]
+    pub fn hidden_by(&self, horizon: &Horizon) -> bool {
+        let along = self.bounds.farthest_along(horizon.toward_eye).min(self.greatest_radius);
+        horizon.hides(along, self.greatest_radius)
+    }
+
+    /// Whether all of it lies outside one of the half spaces.
+    #[must_use]
+    pub fn outside(&self, frustum: &[HalfSpace]) -> bool {
+        frustum.iter().any(|side| self.bounds.farthest_along(side.normal) < side.offset)
+    }
+
+    /// At most the cosine of the angle at `eye` between the unit vector `axis` and any of its
+    /// points; 0 where that is a right angle or more.
+    ///
+    /// A cone of less than a right angle is convex: it holds the box if it holds its corners.
+    #[must_use]
+    pub fn least_cosine(&self, eye: DVec3, axis: DVec3) -> f64 {
+        let cosine = |corner: DVec3| {
+            let to_corner = corner - eye;
+            axis.dot(to_corner) / to_corner.length()
+        };
+        let least = self.bounds.corners().into_iter().map(cosine).fold(1.0, f64::min);
+        // NaN, at a corner, fails the comparison.
+        if least > 0.0 { least - f64::EPSILON } else { 0.0 }
+    }
+}
