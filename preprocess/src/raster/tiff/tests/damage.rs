@@ -101,7 +101,7 @@ fn read_all(path: &Path, bytes: &[u8]) {
     if let Ok(raster) = open(path, &ReadOptions::default()) {
         let (across, down) = raster.info().blocks();
         assert!(u64::from(across) * u64::from(down) <= bytes.len() as u64);
-        blocks(&*raster).take(64).for_each(|block| drop(block));
+        blocks(&*raster).take(64).for_each(drop);
     }
 }
 
