@@ -118,7 +118,12 @@ pub(crate) fn search(scene: &Scene, memo: &mut Memo, view: &View, allowance: usi
         let known = !nodes.is_empty();
         children.clear();
         for &node in nodes {
-            children.extend(search.look_at(parent.dataset, node, Some((place, parent)), &mut found));
+            children.extend(search.look_at(
+                parent.dataset,
+                node,
+                Some((place, parent)),
+                &mut found,
+            ));
         }
         let more: usize = children
             .iter()
