@@ -1,2 +1,24 @@
-//! The command line.
-fn main() {}
+//! The command line: arguments to calls, results to text.
+
+mod args;
+mod failure;
+mod height;
+mod info;
+mod ingest;
+mod npy;
+mod output;
+mod page;
+mod remove;
+mod resources;
+mod verify;
+
+use std::process::ExitCode;
+
+use clap::Parser as _;
+
+fn main() -> ExitCode {
+    match args::Cli::parse().run() {
+        Ok(code) => code,
+        Err(failure) => failure.report(),
+    }
+}

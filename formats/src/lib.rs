@@ -37,3 +37,5 @@ pub mod storage;
 pub mod archive;
 
 pub mod catalog;
+
+pub mod query;

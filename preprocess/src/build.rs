@@ -114,9 +114,9 @@ pub fn build<W: Write + Send>(
     let pyramid = description.grid.pyramid();
     let mut schedule = Schedule::new(pyramid, description.unit_pages, HALO);
     let units = schedule.remaining();
+    let mut writer = ArchiveWriter::new(sink, description).map_err(BuildError::Write)?;
     let mut shop = Shop {
         description,
-        writer: ArchiveWriter::new(sink, description).map_err(BuildError::Write)?,
         raws: HashMap::new(),
         tiles: HashMap::new(),
         wholes: HashMap::new(),
@@ -130,7 +130,10 @@ pub fn build<W: Write + Send>(
     while let Some(step) = next {
         next = schedule.next();
         leaf_count += step.read.len() as u64;
-        let (done, ahead) = rayon::join(|| shop.take(&step, raws), || read(leaves, next.as_ref()));
+        let (done, ahead) = rayon::join(
+            || shop.take(&step, raws, &mut writer),
+            || read(leaves, next.as_ref()),
+        );
         done?;
         raws = ahead?;
         units_done += 1;
@@ -142,7 +145,7 @@ pub fn build<W: Write + Send>(
     if shop.written == 0 {
         return Err(BuildError::NoData);
     }
-    shop.writer.finish().map_err(BuildError::Write)
+    writer.finish().map_err(BuildError::Write)
 }
 
 type ReadLeaf = (PageAddress, Option<Arc<Raw>>);
@@ -157,9 +160,8 @@ fn read(leaves: &dyn Leaves, step: Option<&Step>) -> Result<Vec<ReadLeaf>, Raste
 }
 
 /// What is under construction.
-struct Shop<'a, W> {
+struct Shop<'a> {
     description: &'a Description,
-    writer: ArchiveWriter<W>,
     raws: Raws,
     tiles: Tiles,
     wholes: HashMap<PageAddress, Arc<Whole>>,
@@ -167,8 +169,13 @@ struct Shop<'a, W> {
     written: u64,
 }
 
-impl<W: Write> Shop<'_, W> {
-    fn take(&mut self, step: &Step, raws: Vec<ReadLeaf>) -> Result<(), BuildError> {
+impl Shop<'_> {
+    fn take(
+        &mut self,
+        step: &Step,
+        raws: Vec<ReadLeaf>,
+        writer: &mut ArchiveWriter<impl Write>,
+    ) -> Result<(), BuildError> {
         self.raws.extend(raws);
         for level in step.settled.chunk_by(|one, other| one.level == other.level) {
             let settled: Vec<_> = level
@@ -183,10 +190,10 @@ impl<W: Write> Shop<'_, W> {
                 .map(|&page| Ok((page, self.finish(page)?)))
                 .collect::<Result<_, BuildError>>()?;
             for (page, whole) in finished {
-                self.write(page, whole)?;
+                self.write(page, whole, writer)?;
             }
         }
-        self.writer.end_unit().map_err(BuildError::Write)?;
+        writer.end_unit().map_err(BuildError::Write)?;
 
         step.forget_read.iter().for_each(|page| drop(self.raws.remove(page)));
         step.forget_settled.iter().for_each(|page| drop(self.tiles.remove(page)));
@@ -227,12 +234,17 @@ impl<W: Write> Shop<'_, W> {
         whole.map(Some).map_err(|source| BuildError::Encode { page, source })
     }
 
-    fn write(&mut self, page: PageAddress, whole: Option<Whole>) -> Result<(), BuildError> {
+    fn write(
+        &mut self,
+        page: PageAddress,
+        whole: Option<Whole>,
+        writer: &mut ArchiveWriter<impl Write>,
+    ) -> Result<(), BuildError> {
         let Some(mut whole) = whole else {
-            self.writer.empty(page);
+            writer.empty(page);
             return Ok(());
         };
-        self.writer.page(whole.entry, &whole.payload).map_err(BuildError::Write)?;
+        writer.page(whole.entry, &whole.payload).map_err(BuildError::Write)?;
         self.written += 1;
         whole.payload = Vec::new();
         self.wholes.insert(page, Arc::new(whole));

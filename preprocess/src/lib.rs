@@ -1,5 +1,25 @@
 //! Rasters in, archives out.
 //!
+//! [`ingest::ingest`] is the whole way; [`verify`] holds its result against the laws.
+//!
 //! Modules stand in the order of their dependencies: a file uses only files above it.
 
+pub mod raster;
+
 pub mod schedule;
+
+pub mod tile;
+
+pub mod feather;
+
+pub mod mip;
+
+pub mod whole;
+
+pub mod build;
+
+pub mod mosaic;
+
+pub mod ingest;
+
+pub mod verify;

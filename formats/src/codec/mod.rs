@@ -36,7 +36,8 @@ pub const SIDES: RangeInclusive<usize> = 4..=4098;
 
 /// Buffers that encoding and decoding need, to be kept between pages of one thread.
 ///
-/// It grows to about 16 bytes a texel of the largest page it has seen. What it held before changes no
+/// It grows to at most about 27 bytes a texel of the largest page it has seen, if it meets every kind.
+/// What it held before changes no
 /// result.
 #[derive(Debug, Default)]
 pub struct Scratch {

@@ -150,6 +150,21 @@ mod tests {
     }
 
     #[test]
+    fn bytes_that_are_too_few_or_too_many_for_a_plane_are_refused() {
+        let plane = [9; 100];
+        let shorter = lz4_flex::block::compress(&plane[..99]);
+        let longer = lz4_flex::block::compress(&[9; 101]);
+        assert_eq!(read(Method::Lz4, &shorter, &mut [0; 100]), None);
+        assert_eq!(read(Method::Lz4, &longer, &mut [0; 100]), None);
+        for bytes in [&[0b0101, 1][..], &[0b0101, 1, 2, 3], &[0b1_0001, 1, 2], &[]] {
+            assert_eq!(read(Method::Sparse, bytes, &mut [0; 4]), None, "{bytes:?}");
+        }
+        assert_eq!(read(Method::Sparse, &[0b0101, 1, 2], &mut [0; 4]), Some(()));
+        assert_eq!(read(Method::Raw, &[1; 5], &mut [0; 4]), None);
+        assert_eq!(read(Method::Zero, &[0], &mut [0; 4]), None);
+    }
+
+    #[test]
     fn a_reused_table_changes_no_byte() {
         let plane: Vec<u8> = (0..40_000_u32).map(|i| (i / 7 * i % 11).to_le_bytes()[0]).collect();
         let (mut fresh, mut reused) = (Vec::new(), Vec::new());

@@ -103,8 +103,8 @@ impl Quantum {
             return None;
         }
         let nearest = self.nearest(texel);
-        // Where float32 is about as coarse as the step, the texel may lie at the midpoint of two
-        // values, and the nearest index be the one beside its own.
+        // Floats below a power of two are twice as dense as those above it: the index nearest that
+        // power may belong to the float below, and its neighbor, farther above, to the power.
         [nearest, nearest.saturating_sub(1), nearest.saturating_add(1)]
             .into_iter()
             .find(|&index| self.value(index).to_bits() == texel.to_bits())
@@ -176,6 +176,15 @@ mod tests {
     fn negative_zero_is_on_no_step() {
         assert_eq!(Quantum::new(1.0, -0.0).unwrap().index(-0.0), None);
         assert_eq!(Quantum::new(1.0, -0.0).unwrap().index(0.0), Some(0));
+    }
+
+    /// 2^24 is the float32 of 2^24 + 0.9, but 2^24 - 0.6, which is nearer, has a float of its own.
+    #[test]
+    fn a_power_of_two_has_its_index_from_the_sparser_side() {
+        let quantum = Quantum::new(1.5, 16_777_216.9).unwrap();
+        assert_eq!(quantum.value(0), 16_777_216.0);
+        assert_eq!(quantum.index(16_777_216.0), Some(0));
+        assert_eq!(quantum.index(16_777_215.0), Some(-1));
     }
 
     #[test]

@@ -1,0 +1,384 @@
+//! Ingest: rasters become a dataset of a catalog.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Read};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use areoid_formats::archive::{Archive, Description, Source, SourceFile, Summary};
+use areoid_formats::body::Body;
+use areoid_formats::catalog::{
+    Build, Catalog, CatalogError, Disk, NewDataset, publish_build,
+};
+use areoid_formats::codec::{Quantum, QuantumError};
+use areoid_formats::geodesy::LatitudeKind;
+use areoid_formats::page::Kind;
+use areoid_formats::projection::Crs;
+use xxhash_rust::xxh3::Xxh3;
+
+use crate::build::{self, BuildError, Proceed, Progress};
+use crate::feather::FEATHER_TEXELS;
+use crate::mosaic::{Mosaic, MosaicError};
+use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
+
+/// Leaf pages along a side of a work unit.
+pub const UNIT_PAGES: u32 = 8;
+
+/// What to ingest, and how.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Request {
+    /// The rasters, a later one over an earlier one.
+    pub rasters: Vec<PathBuf>,
+    /// The catalog; it is made if it is not there.
+    pub catalog: PathBuf,
+    /// The dataset's name; the first raster's stem if `None`.
+    pub name: Option<String>,
+    /// What the samples are; heights of one band and colors of three or four if `None`.
+    pub kind: Option<Kind>,
+    /// The step in meters that heights are stored on; 0 or `None` is lossless.
+    pub step_m: Option<f64>,
+    /// Texels along a page's side, border included.
+    pub page_side: u32,
+    /// Higher covers lower.
+    pub priority: i32,
+    /// Threads; as many as there are cores if `None`.
+    pub threads: Option<usize>,
+    /// Whether a dataset of the same name made from something else is replaced.
+    pub existing: Existing,
+    /// How the rasters are read.
+    pub reading: Reading,
+}
+
+/// What becomes of a dataset that is there already.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Existing {
+    /// It stays, and the ingest fails.
+    Keep,
+    /// It is replaced.
+    Replace,
+}
+
+/// The options that say how a raster is read, as they were given.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Reading {
+    /// `EPSG:n`, a PROJ string, WKT, or a file with one of them.
+    pub crs: Option<String>,
+    /// West, south, east, north in map units.
+    pub extent: Option<[f64; 4]>,
+    /// The sample that stands for no data.
+    pub nodata: Option<f64>,
+    /// The body's name or radii.
+    pub body: Option<String>,
+    /// What latitudes mean.
+    pub latitudes: Option<LatitudeKind>,
+}
+
+/// What an ingest did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// The dataset's name.
+    pub dataset: String,
+    /// Whether it was there already, made from the same input with the same options.
+    pub already_there: bool,
+    /// The generation of the catalog that has it.
+    pub generation: u64,
+    /// What its archive says of its levels.
+    pub summary: Summary,
+    /// Length of its archive in bytes.
+    pub bytes: u64,
+    /// Pixels read.
+    pub pixels: u64,
+    /// Blocks of the rasters that were decoded.
+    pub decoded_blocks: u64,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
+
+/// An ingest that did not come to its end. The catalog is as it was.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum IngestError {
+    /// A raster cannot be read.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+    /// The rasters make no dataset.
+    #[error(transparent)]
+    Mosaic(#[from] MosaicError),
+    /// The catalog refuses.
+    #[error(transparent)]
+    Catalog(#[from] CatalogError),
+    /// The archive cannot be built.
+    #[error("cannot build {dataset}")]
+    Build {
+        /// The dataset.
+        dataset: String,
+        /// Why.
+        source: BuildError,
+    },
+    /// A step that heights cannot be stored on.
+    #[error(transparent)]
+    Step(#[from] QuantumError),
+    /// A request that makes no sense.
+    #[error("{0}")]
+    Request(String),
+    /// The threads cannot be started.
+    #[error("cannot start the threads: {0}")]
+    Threads(String),
+}
+
+/// Ingests; `watch` is called after each work unit.
+///
+/// # Errors
+///
+/// Any [`IngestError`]; the catalog is then as it was.
+pub fn ingest(
+    disk: &dyn Disk,
+    request: &Request,
+    watch: impl FnMut(Progress) -> Proceed + Send,
+) -> Result<Outcome, IngestError> {
+    let start = Instant::now();
+    let catalog = match Catalog::open(&request.catalog) {
+        Ok(catalog) => Some(catalog),
+        Err(CatalogError::NotACatalog { .. }) => None,
+        Err(error) => return Err(error.into()),
+    };
+    let (description, mosaic) = plan(request, catalog.as_ref())?;
+    let extent = description.grid.pyramid().extent();
+    let mut outcome = Outcome {
+        dataset: description.dataset.clone(),
+        already_there: false,
+        generation: 0,
+        summary: Summary::default(),
+        bytes: 0,
+        pixels: u64::from(extent.width) * u64::from(extent.height),
+        decoded_blocks: 0,
+        seconds: 0.0,
+    };
+    if let Some(catalog) = &catalog
+        && let Some((summary, bytes)) = existing(catalog, &description, request.existing)?
+    {
+        (outcome.already_there, outcome.generation) = (true, catalog.generation());
+        (outcome.summary, outcome.bytes) = (summary, bytes);
+        outcome.seconds = start.elapsed().as_secs_f64();
+        return Ok(outcome);
+    }
+
+    let build = Build::start(disk, &request.catalog, &description.dataset)?;
+    let threads = rayon::ThreadPoolBuilder::new()
+        .num_threads(request.threads.unwrap_or(0))
+        .build()
+        .map_err(|error| IngestError::Threads(error.to_string()))?;
+    let sink = BufWriter::with_capacity(1 << 20, build);
+    let built = threads.install(|| build::build(&description, &mosaic, sink, watch));
+    let (sink, written) = match built {
+        Ok(built) => built,
+        Err(source) => {
+            let dataset = description.dataset;
+            return Err(IngestError::Build { dataset, source });
+        }
+    };
+    let build = sink.into_inner().map_err(|error| IngestError::Build {
+        dataset: description.dataset.clone(),
+        source: BuildError::Write(error.into_error()),
+    })?;
+    outcome.generation = publish_build(
+        build,
+        NewDataset {
+            name: description.dataset,
+            kind: description.kind,
+            priority: description.priority,
+            body: description.body,
+            bytes: written.bytes,
+            content: written.content,
+            source: description.source,
+        },
+    )?;
+    (outcome.summary, outcome.bytes) = (written.summary, written.bytes);
+    outcome.decoded_blocks = mosaic.decoded_blocks();
+    outcome.seconds = start.elapsed().as_secs_f64();
+    Ok(outcome)
+}
+
+/// What the catalog has under the name of `description`, if that is the same dataset.
+fn existing(
+    catalog: &Catalog,
+    description: &Description,
+    policy: Existing,
+) -> Result<Option<(Summary, u64)>, IngestError> {
+    let Ok(record) = catalog.dataset(&description.dataset) else { return Ok(None) };
+    let archive = catalog.archive(record)?;
+    if archive.description() == description
+        && let Some(summary) = archive.summary()
+    {
+        return Ok(Some((summary.clone(), archive.len())));
+    }
+    match policy {
+        Existing::Replace => Ok(None),
+        Existing::Keep => Err(CatalogError::Exists { name: description.dataset.clone() }.into()),
+    }
+}
+
+/// Opens the rasters and decides what becomes of them.
+fn plan(
+    request: &Request,
+    catalog: Option<&Catalog>,
+) -> Result<(Description, Mosaic), IngestError> {
+    let catalog_body = catalog.filter(|c| !c.datasets().is_empty()).map(Catalog::body);
+    let (rasters, crs, body) = open(&request.rasters, &request.reading, catalog_body)?;
+    let first = rasters.first().ok_or(MosaicError::Empty)?.info().clone();
+    let kind = match (request.kind, first.bands) {
+        (Some(Kind::Normal), _) => {
+            return Err(IngestError::Request("--kind normal is not supported yet".to_owned()));
+        }
+        (Some(kind), _) => kind,
+        (None, 1 | 2) => Kind::Height,
+        (None, _) => Kind::Color,
+    };
+    let name = match &request.name {
+        Some(name) => name.clone(),
+        None => {
+            let stem = first.path.file_stem().and_then(|stem| stem.to_str());
+            stem.unwrap_or_default().to_owned()
+        }
+    };
+    let mosaic = Mosaic::new(rasters, crs, kind, request.page_side)?;
+    let files = request.rasters.iter().map(|path| fingerprint(path)).collect::<Result<_, _>>()?;
+    let reading = &request.reading;
+    let source = Source {
+        files,
+        crs: reading.crs.clone(),
+        extent: reading.extent,
+        nodata: reading.nodata.map(|nodata| nodata.to_string()),
+        body: reading.body.clone(),
+        latitudes: reading.latitudes.map(|kind| latitudes_name(kind).to_owned()),
+    };
+    let description = Description {
+        dataset: name,
+        kind,
+        body,
+        grid: mosaic.grid().clone(),
+        quantum: quantum(kind, &first, request.step_m)?,
+        priority: request.priority,
+        feather_texels: FEATHER_TEXELS,
+        unit_pages: UNIT_PAGES,
+        source,
+    };
+    Ok((description, mosaic))
+}
+
+/// The rasters of a dataset, what they are projected by, and the body they show.
+pub type Opened = (Vec<Arc<dyn Raster>>, Crs, Body);
+
+/// Opens rasters as `reading` says; `catalog` is the body of the catalog they go to or are in, if
+/// it has one.
+///
+/// # Errors
+///
+/// [`IngestError::Raster`] or [`IngestError::Request`].
+pub fn open(
+    paths: &[PathBuf],
+    reading: &Reading,
+    catalog: Option<&Body>,
+) -> Result<Opened, IngestError> {
+    let asked = match &reading.body {
+        Some(text) => Some(Body::parse(text).map_err(|e| IngestError::Request(e.to_string()))?),
+        None => None,
+    };
+    let mut options = ReadOptions {
+        crs: reading.crs.clone(),
+        extent: reading.extent,
+        nodata: reading.nodata,
+        body: asked.clone(),
+        latitudes: reading.latitudes,
+    };
+    let open_all = |options: &ReadOptions| -> Result<Vec<Arc<dyn Raster>>, RasterError> {
+        paths.iter().map(|path| raster::open(path, options).map(Arc::from)).collect()
+    };
+    let mut rasters = open_all(&options)?;
+    let crs = rasters.first().and_then(|raster| raster.info().crs);
+    if let (None, Some(catalog)) = (&asked, catalog) {
+        // What a raster says of its body gives way to the catalog's if the equators agree: a map
+        // on a sphere may well show the catalog's ellipsoid.
+        let adopt = crs.is_none_or(|crs| {
+            let (a, b) = (crs.ellipsoid.a().0, catalog.ellipsoid.a().0);
+            (a / b - 1.0).abs() <= Body::SAME_WITHIN
+        });
+        if adopt {
+            options.body = Some(catalog.clone());
+            rasters = open_all(&options)?;
+        }
+    }
+    let first = rasters.first().ok_or(MosaicError::Empty)?.info();
+    let crs = first.crs.ok_or_else(|| {
+        let path = first.path.display();
+        IngestError::Request(format!("{path} does not say which body it shows: give --body or --crs"))
+    })?;
+    let body = options.body.unwrap_or_else(|| Body::from_ellipsoid(crs.body));
+    Ok((rasters, crs, body))
+}
+
+/// The step heights are stored on.
+fn quantum(kind: Kind, info: &RasterInfo, step_m: Option<f64>) -> Result<Quantum, QuantumError> {
+    match (kind, step_m.filter(|&step| step != 0.0), info.sample) {
+        (Kind::Color | Kind::Normal, ..)
+        | (_, None, SampleType::F32 | SampleType::F64) => Ok(Quantum::NONE),
+        (_, Some(step), _) => Quantum::new(step, 0.0),
+        (_, None, _) => Quantum::new(info.scale.abs(), info.offset),
+    }
+}
+
+/// The name of a kind of latitudes on the command line.
+#[must_use]
+pub fn latitudes_name(kind: LatitudeKind) -> &'static str {
+    match kind {
+        LatitudeKind::Planetographic => "planetographic",
+        LatitudeKind::Planetocentric => "planetocentric",
+    }
+}
+
+/// A file's name, length and content.
+fn fingerprint(path: &Path) -> Result<SourceFile, IngestError> {
+    let failed = |source: io::Error| CatalogError::io("read", path, source);
+    let mut file = File::open(path).map_err(failed)?;
+    let (mut hash, mut bytes) = (Xxh3::new(), 0);
+    let mut buffer = vec![0; 1 << 20];
+    loop {
+        let read = file.read(&mut buffer).map_err(failed)?;
+        if read == 0 {
+            break;
+        }
+        hash.update(&buffer[..read]);
+        bytes += read as u64;
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    Ok(SourceFile { name, bytes, xxh3: format!("{:032x}", hash.digest128()) })
+}
+
+/// Opens the rasters that `archive` was made from, as it was made from them.
+///
+/// # Errors
+///
+/// [`IngestError`] if they cannot be read, or do not lie on the archive's grid.
+pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Mosaic, IngestError> {
+    let description = archive.description();
+    let source = &description.source;
+    let reading = Reading {
+        crs: source.crs.clone(),
+        extent: source.extent,
+        nodata: source.nodata.as_deref().and_then(|nodata| nodata.parse().ok()),
+        body: source.body.clone(),
+        latitudes: [LatitudeKind::Planetographic, LatitudeKind::Planetocentric]
+            .into_iter()
+            .find(|&kind| source.latitudes.as_deref() == Some(latitudes_name(kind))),
+    };
+    let (rasters, crs, _) = open(paths, &reading, Some(&description.body))?;
+    let page_side = description.grid.pyramid().page_side();
+    let mosaic = Mosaic::new(rasters, crs, description.kind, page_side)?;
+    if *mosaic.grid() != description.grid {
+        let dataset = &description.dataset;
+        let reason = format!("the rasters do not lie on the grid of {dataset}: was it made from them?");
+        return Err(IngestError::Request(reason));
+    }
+    Ok(mosaic)
+}

@@ -1,0 +1,49 @@
+//! What went wrong, as the user hears of it.
+
+use std::error::Error;
+use std::process::ExitCode;
+
+/// Exit status of a call that makes no sense.
+const MISUSED: u8 = 2;
+
+/// Why a command did not do what was asked.
+#[derive(Debug)]
+pub(crate) enum Failure {
+    /// It could not.
+    Failed(Box<dyn Error>),
+    /// It was asked for something that makes no sense.
+    Misused(String),
+}
+
+impl<E: Error + 'static> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::Failed(Box::new(error))
+    }
+}
+
+impl Failure {
+    /// Prints it, a line for each cause, and says how to exit.
+    #[expect(clippy::print_stderr, reason = "the one place that prints errors")]
+    pub(crate) fn report(&self) -> ExitCode {
+        match self {
+            // Whoever reads our output has had enough of it.
+            Self::Failed(error) if is_broken_pipe(error.as_ref()) => ExitCode::SUCCESS,
+            Self::Failed(error) => {
+                eprintln!("error: {error}");
+                for cause in std::iter::successors(error.source(), |&cause| cause.source()) {
+                    eprintln!("  caused by: {cause}");
+                }
+                ExitCode::FAILURE
+            }
+            Self::Misused(reason) => {
+                eprintln!("error: {reason}");
+                ExitCode::from(MISUSED)
+            }
+        }
+    }
+}
+
+fn is_broken_pipe(error: &(dyn Error + 'static)) -> bool {
+    let io = error.downcast_ref::<std::io::Error>();
+    io.is_some_and(|error| error.kind() == std::io::ErrorKind::BrokenPipe)
+}

@@ -1,0 +1,145 @@
+//! `areoid info`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use areoid_formats::archive::Archive;
+use areoid_formats::catalog::{Catalog, DatasetRecord};
+use areoid_formats::pyramid::PoleContact;
+use serde_json::{Value, json};
+
+use crate::failure::Failure;
+use crate::output;
+
+/// Say what a catalog holds.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The catalog.
+    #[arg(value_name = "DIR")]
+    catalog: PathBuf,
+
+    /// Only this dataset.
+    dataset: Option<String>,
+
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Args {
+    pub(crate) fn run(self) -> Result<ExitCode, Failure> {
+        let (catalog, archives) = Catalog::open_with_archives(&self.catalog)?;
+        if let Some(name) = &self.dataset {
+            catalog.dataset(name)?;
+        }
+        let chosen: Vec<_> = catalog
+            .datasets()
+            .iter()
+            .zip(&archives)
+            .filter(|(record, _)| self.dataset.as_ref().is_none_or(|name| *name == record.name))
+            .map(|(record, archive)| dataset(record, archive))
+            .collect::<Result<_, Failure>>()?;
+        if self.json {
+            let body = catalog.body();
+            output::json(&json!({
+                "body": {
+                    "name": body.name,
+                    "a_m": body.ellipsoid.a().0,
+                    "b_m": body.ellipsoid.b().0,
+                },
+                "generation": catalog.generation(),
+                "datasets": chosen,
+            }))?;
+        } else {
+            text(&catalog, &chosen)?;
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+fn dataset(record: &DatasetRecord, archive: &Archive) -> Result<Value, Failure> {
+    let description = archive.description();
+    let (grid, pyramid) = (&description.grid, description.grid.pyramid());
+    let extent = pyramid.extent();
+    let summary = archive.summary();
+    let levels: Vec<Value> = pyramid
+        .levels()
+        .filter_map(|level| Some((level, pyramid.size(level)?)))
+        .map(|(level, size)| {
+            let known = summary.and_then(|summary| summary.levels.get(usize::from(level.0)));
+            json!({
+                "level": level.0,
+                "width": size.width,
+                "height": size.height,
+                "pages": known.map(|known| known.pages),
+                "constant": known.map(|known| known.constant),
+                "bytes": known.map(|known| known.bytes),
+                "bound_max": known.map(|known| known.bound_max),
+            })
+        })
+        .collect();
+    let poles = match (extent.north != PoleContact::None, extent.south != PoleContact::None) {
+        (true, true) => "both",
+        (true, false) => "north",
+        (false, true) => "south",
+        (false, false) => "none",
+    };
+    Ok(json!({
+        "name": record.name,
+        "kind": record.kind.name(),
+        "priority": record.priority,
+        "grid": {
+            "projection": match grid.crs().projection {
+                areoid_formats::projection::Projection::PolarStereographic(_) => "polar_stereographic",
+                areoid_formats::projection::Projection::Equirectangular(_) => "equirectangular",
+                areoid_formats::projection::Projection::Geographic => "geographic",
+            },
+            "crs": grid.crs().proj_string(),
+            "origin": grid.origin(),
+            "pixel_size": grid.pixel_size(),
+            "width": extent.width,
+            "height": extent.height,
+            "wraps": extent.wraps,
+            "reaches_pole": poles != "none",
+            "poles": poles,
+        },
+        "page_size": pyramid.page_side(),
+        "border": areoid_formats::pyramid::Pyramid::BORDER,
+        "step": description.quantum.step,
+        "levels": levels,
+        "pages": archive.page_count()?,
+        "bytes": record.bytes,
+        "source": record.source,
+    }))
+}
+
+fn text(catalog: &Catalog, datasets: &[Value]) -> Result<(), Failure> {
+    let body = catalog.body();
+    output::line(format_args!(
+        "{} ({} x {} m), generation {}",
+        body.name,
+        body.ellipsoid.a().0,
+        body.ellipsoid.b().0,
+        catalog.generation()
+    ))?;
+    for dataset in datasets {
+        let grid = &dataset["grid"];
+        output::line(format_args!(
+            "\n{}: {}, {} x {}, {} pages, {} bytes\n  {}",
+            dataset["name"].as_str().unwrap_or_default(),
+            dataset["kind"].as_str().unwrap_or_default(),
+            grid["width"],
+            grid["height"],
+            dataset["pages"],
+            dataset["bytes"],
+            grid["crs"].as_str().unwrap_or_default(),
+        ))?;
+        for level in dataset["levels"].as_array().into_iter().flatten() {
+            output::line(format_args!(
+                "  level {}: {} x {}, {} pages, bound {}",
+                level["level"], level["width"], level["height"], level["pages"], level["bound_max"]
+            ))?;
+        }
+    }
+    Ok(())
+}

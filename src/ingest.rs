@@ -1,0 +1,217 @@
+//! `areoid ingest`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use areoid_formats::catalog::RealDisk;
+use areoid_formats::geodesy::LatitudeKind;
+use areoid_formats::page::Kind;
+use areoid_preprocess::build::{Proceed, Progress};
+use areoid_preprocess::ingest::{Existing, Outcome, Reading, Request, ingest};
+use serde_json::json;
+
+use crate::args::numbers;
+use crate::failure::Failure;
+use crate::{output, resources};
+
+/// Turn rasters into a dataset of a catalog.
+///
+/// The leaves of the dataset are the rasters' own pixels. Several rasters make a mosaic: a later
+/// one covers an earlier one where it has data.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Rasters: `GeoTIFF` or `BigTIFF`; JPEG or PNG with a world file.
+    #[arg(required = true, value_name = "RASTER")]
+    rasters: Vec<PathBuf>,
+
+    /// The catalog, a folder; it is made if it is not there.
+    #[arg(long, value_name = "DIR")]
+    catalog: PathBuf,
+
+    /// The dataset's name [default: the stem of the first raster].
+    #[arg(long)]
+    name: Option<String>,
+
+    /// What the samples are [default: height for one band, color for three or four].
+    #[arg(long, value_enum)]
+    kind: Option<KindArg>,
+
+    /// The body: mercury, venus, earth, moon, mars, mars-ellipsoid, or its radii in meters
+    /// [default: what the raster says].
+    #[arg(long, value_name = "NAME|A,B")]
+    body: Option<String>,
+
+    /// The grid of the dataset. Only the raster's own is supported yet.
+    #[arg(long, value_enum, default_value = "native")]
+    grid: GridArg,
+
+    /// Store heights on a step of so many meters, within the bound; 0 is lossless [default: the
+    /// raster's own quantum].
+    #[arg(long, value_name = "METERS")]
+    step_m: Option<f64>,
+
+    /// Texels along a page's side, its border included.
+    #[arg(long, value_name = "TEXELS", default_value_t = 512)]
+    page_size: u32,
+
+    /// The sample that stands for no data [default: what the raster says].
+    #[arg(long, allow_hyphen_values = true, value_name = "VALUE")]
+    nodata: Option<f64>,
+
+    /// The coordinate system: EPSG:n, a PROJ string, WKT, or a file that holds one
+    /// [default: what the raster says].
+    #[arg(long, allow_hyphen_values = true, value_name = "TEXT|FILE")]
+    crs: Option<String>,
+
+    /// What the raster's latitudes are [default: planetocentric for a map on a sphere of an
+    /// ellipsoidal body, else planetographic].
+    #[arg(long, value_enum)]
+    latitudes: Option<LatitudesArg>,
+
+    /// Where the raster's outer edges lie, in degrees or meters of its coordinate system
+    /// [default: what the raster says].
+    #[arg(long, allow_hyphen_values = true, value_name = "W,S,E,N", value_parser = numbers::<4>)]
+    extent: Option<[f64; 4]>,
+
+    /// Datasets of higher priority cover those of lower.
+    #[arg(long, allow_hyphen_values = true, default_value_t = 0)]
+    priority: i32,
+
+    /// Threads [default: one a core].
+    #[arg(long, value_name = "COUNT")]
+    threads: Option<usize>,
+
+    /// Replace a dataset of this name that was made from something else.
+    #[arg(long)]
+    force: bool,
+
+    /// Print a summary as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum KindArg {
+    Height,
+    Color,
+    Normal,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, clap::ValueEnum)]
+enum GridArg {
+    Native,
+    Equirectangular,
+    PolarNorth,
+    PolarSouth,
+    Split,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum LatitudesArg {
+    Planetographic,
+    Planetocentric,
+}
+
+impl Args {
+    pub(crate) fn run(self) -> Result<ExitCode, Failure> {
+        if self.grid != GridArg::Native {
+            return Err(Failure::Misused("only --grid native is supported yet".to_owned()));
+        }
+        if self.step_m.is_some_and(|step| !(step >= 0.0 && step.is_finite())) {
+            return Err(Failure::Misused("--step-m must be 0 or a positive number".to_owned()));
+        }
+        let as_json = self.json;
+        let request = self.request();
+        let mut peak = 0;
+        let outcome = ingest(&RealDisk, &request, |progress| {
+            peak = peak.max(resources::anonymous_bytes().unwrap_or(0));
+            report(progress);
+            Proceed::Yes
+        })?;
+        if as_json {
+            output::json(&summary(&outcome, peak))?;
+        } else {
+            output::line(text(&outcome))?;
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+
+    fn request(self) -> Request {
+        Request {
+            rasters: self.rasters,
+            catalog: self.catalog,
+            name: self.name,
+            kind: self.kind.map(|kind| match kind {
+                KindArg::Height => Kind::Height,
+                KindArg::Color => Kind::Color,
+                KindArg::Normal => Kind::Normal,
+            }),
+            step_m: self.step_m,
+            page_side: self.page_size,
+            priority: self.priority,
+            threads: self.threads,
+            existing: if self.force { Existing::Replace } else { Existing::Keep },
+            reading: Reading {
+                crs: self.crs,
+                extent: self.extent,
+                nodata: self.nodata,
+                body: self.body,
+                latitudes: self.latitudes.map(|latitudes| match latitudes {
+                    LatitudesArg::Planetographic => LatitudeKind::Planetographic,
+                    LatitudesArg::Planetocentric => LatitudeKind::Planetocentric,
+                }),
+            },
+        }
+    }
+}
+
+/// A line of progress for work that takes longer than a breath.
+fn report(progress: Progress) {
+    let seconds = progress.elapsed.as_secs_f64();
+    if seconds > 2.0 {
+        let (done, units) = (progress.units_done, progress.units);
+        let left = seconds / done as f64 * (units - done) as f64;
+        output::say(format!("unit {done} of {units}, {left:.0} s left"));
+    }
+}
+
+fn summary(outcome: &Outcome, peak: u64) -> serde_json::Value {
+    let pages: u64 = outcome.summary.levels.iter().map(|level| level.pages).sum();
+    json!({
+        "dataset": outcome.dataset,
+        "already_there": outcome.already_there,
+        "generation": outcome.generation,
+        "pages": pages,
+        "bytes": outcome.bytes,
+        "seconds": outcome.seconds,
+        "cpu_seconds": resources::cpu_seconds(),
+        "mpx_per_s": outcome.pixels as f64 / 1e6 / outcome.seconds,
+        "peak_memory_bytes": peak,
+        "decoded_blocks": outcome.decoded_blocks,
+        "bound": largest(outcome, |level| level.bound_max),
+        "source_error": largest(outcome, |level| level.source_error_max),
+        "resumed_units": 0,
+    })
+}
+
+fn largest(
+    outcome: &Outcome,
+    field: fn(&areoid_formats::archive::LevelSummary) -> f32,
+) -> f32 {
+    outcome.summary.levels.iter().map(field).fold(0.0, f32::max)
+}
+
+fn text(outcome: &Outcome) -> String {
+    let pages: u64 = outcome.summary.levels.iter().map(|level| level.pages).sum();
+    let Outcome { dataset, bytes, seconds, .. } = outcome;
+    if outcome.already_there {
+        return format!("{dataset}: already there, made from the same input: nothing to do");
+    }
+    let rate = outcome.pixels as f64 / 1e6 / seconds;
+    let bound = largest(outcome, |level| level.bound_max);
+    let error = largest(outcome, |level| level.source_error_max);
+    format!(
+        "{dataset}: {pages} pages, {bytes} bytes in {seconds:.2} s ({rate:.1} Mpx/s); \
+         coarsest bound {bound}, error against the source {error}"
+    )
+}
