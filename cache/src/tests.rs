@@ -60,6 +60,11 @@ fn chance(page: PageAddress, salt: u64) -> f64 {
     (state >> 11) as f64 / (1_u64 << 53) as f64
 }
 
+#[expect(clippy::cast_possible_truncation, reason = "any number near it will do")]
+fn narrow(number: f64) -> f32 {
+    number as f32
+}
+
 /// Entries whose heights, bounds and holes nest, for every page below `page`.
 fn fill(grid: &Grid, page: PageAddress, entries: &mut HashMap<PageAddress, PageEntry>) {
     let pyramid = grid.pyramid();
@@ -82,7 +87,7 @@ fn fill(grid: &Grid, page: PageAddress, entries: &mut HashMap<PageAddress, PageE
         // A few lone peaks among plains.
         let peak = if chance(page, 2) < 0.05 { 20_000.0 } else { 500.0 };
         entry.valid_fraction = 1.0;
-        entry.min = -1000.0 * chance(page, 3) as f32;
+        entry.min = narrow(-1000.0 * chance(page, 3));
         entry.max = entry.min + peak;
         (entry.lowest, entry.highest) = (entry.min, entry.max);
     } else {
@@ -97,7 +102,7 @@ fn fill(grid: &Grid, page: PageAddress, entries: &mut HashMap<PageAddress, PageE
             entry.full &= child.full;
         }
         let texel = grid.nominal_pixel().0 * f64::from(pyramid.halvings(page.level)).exp2();
-        entry.bound += (0.02 * texel * (0.3 + chance(page, 4))) as f32;
+        entry.bound += narrow(0.02 * texel * (0.3 + chance(page, 4)));
     }
     if entry.valid_fraction > 0.0 {
         entries.insert(page, entry);

@@ -1,5 +1,7 @@
 //! Volumes against brute force: points of many footprints at many heights.
 
+#![expect(clippy::unwrap_used, reason = "a failed test may panic")]
+
 use areoid_formats::address::PageAddress;
 use areoid_formats::body::{Body, Ellipsoid};
 use areoid_formats::bounds::HalfSpace;
@@ -126,6 +128,7 @@ fn volumes_hold_their_points() {
 /// The box's radius against that of the sphere around the same center that the points need, and
 /// how much of the box's thickness is empty.
 #[test]
+#[expect(clippy::print_stdout, reason = "figures for whoever asks with --nocapture")]
 fn volumes_are_tight() {
     for (name, grid) in grids() {
         let (mut worst, mut sum, mut count) = (1.0_f64, 0.0, 0.0);

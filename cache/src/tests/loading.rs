@@ -133,7 +133,7 @@ fn many_sessions_read_a_page_once() {
     let reads = globe.page_reads();
     assert!(reads.values().all(|&count| count == 1), "{reads:?}");
     let stats = cache.stats();
-    assert_eq!((stats.loads as usize, stats.errors, stats.evictions), (reads.len(), 0, 0));
+    assert_eq!((stats.loads, stats.errors, stats.evictions), (reads.len() as u64, 0, 0));
     assert_eq!(stats.reserved_bytes, 0);
 }
 
@@ -268,7 +268,7 @@ fn a_damaged_page_is_told_and_stood_in_for() {
     let settled = whole.cache(PLENTY, 2).session().settle(&near);
     let victim = settled.pages.last().unwrap().entry;
     let Payload::Record { offset, .. } = victim.payload else { panic!("heights are stored") };
-    bytes[offset as usize + RECORD_HEAD_LEN + 9] ^= 0x10;
+    bytes[usize::try_from(offset).unwrap() + RECORD_HEAD_LEN + 9] ^= 0x10;
 
     let damaged = Gated::from_bytes(description, bytes);
     let cache = damaged.cache(PLENTY, 2);
