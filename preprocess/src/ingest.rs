@@ -101,20 +101,20 @@ pub struct Outcome {
 pub enum IngestError {
     /// A raster cannot be read.
     #[error(transparent)]
-    Raster(#[from] RasterError),
+    Raster(Box<RasterError>),
     /// The rasters make no dataset.
     #[error(transparent)]
-    Mosaic(#[from] MosaicError),
+    Mosaic(Box<MosaicError>),
     /// The catalog refuses.
     #[error(transparent)]
-    Catalog(#[from] CatalogError),
+    Catalog(Box<CatalogError>),
     /// The archive cannot be built.
     #[error("cannot build {dataset}")]
     Build {
         /// The dataset.
         dataset: String,
         /// Why.
-        source: BuildError,
+        source: Box<BuildError>,
     },
     /// A step that heights cannot be stored on.
     #[error(transparent)]
@@ -126,6 +126,18 @@ pub enum IngestError {
     #[error("cannot start the threads: {0}")]
     Threads(String),
 }
+
+/// Boxed, because these errors are many times larger than what they are returned beside.
+macro_rules! boxed {
+    ($($error:ident: $variant:ident),*) => {$(
+        impl From<$error> for IngestError {
+            fn from(error: $error) -> Self {
+                Self::$variant(Box::new(error))
+            }
+        }
+    )*};
+}
+boxed!(RasterError: Raster, MosaicError: Mosaic, CatalogError: Catalog);
 
 /// Ingests; `watch` is called after each work unit.
 ///
@@ -175,12 +187,12 @@ pub fn ingest(
         Ok(built) => built,
         Err(source) => {
             let dataset = description.dataset;
-            return Err(IngestError::Build { dataset, source });
+            return Err(IngestError::Build { dataset, source: Box::new(source) });
         }
     };
     let build = sink.into_inner().map_err(|error| IngestError::Build {
         dataset: description.dataset.clone(),
-        source: BuildError::Write(error.into_error()),
+        source: Box::new(BuildError::Write(error.into_error())),
     })?;
     outcome.generation = publish_build(
         build,
