@@ -16,8 +16,14 @@ pub mod pyramid;
 
 pub mod grid;
 
+pub mod codec;
+
 pub mod page;
 
 pub mod compose;
 
 pub mod storage;
+
+pub mod archive;
+
+pub mod catalog;

@@ -1,0 +1,129 @@
+//! A catalog: a folder of archives, and the manifest that says which of them count.
+//!
+//! ```text
+//!   DIR/manifest.7                        the datasets of generation 7
+//!   DIR/archives/mola-5f0c…e1.areoid      named by dataset and content: never overwritten
+//!   DIR/build/viking.part                 an unfinished build, locked by its builder
+//!   DIR/catalog.lock                      held while a change is published
+//! ```
+//!
+//! # How a change is published
+//!
+//! The archive is synced, renamed into place and its folder synced; the manifest of the next
+//! generation is written under a temporary name, synced, and *linked* to its own: the link is the
+//! one step that makes the change, and it fails if another writer made that generation first.
+//! Then the folder is synced and what no manifest names any more is removed. A process killed at
+//! any instant leaves the old generation or the new one.
+//!
+//! Readers take no lock. A reader that misses a file has an old manifest and reads the newest.
+
+mod disk;
+mod error;
+mod manifest;
+mod publish;
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+pub use disk::{Disk, RealDisk};
+pub use error::CatalogError;
+pub use manifest::{DatasetRecord, Manifest};
+pub use publish::{Build, NewDataset, publish_build, remove_dataset};
+
+use crate::archive::Archive;
+use crate::body::Body;
+use crate::storage::FileSource;
+
+/// One generation of a catalog, as it was when it was opened.
+#[derive(Clone, Debug)]
+pub struct Catalog {
+    folder: PathBuf,
+    manifest: Manifest,
+}
+
+impl Catalog {
+    /// Opens the newest generation of the catalog in `folder`.
+    ///
+    /// # Errors
+    ///
+    /// [`CatalogError::NotACatalog`] if the folder has no manifest, or any other.
+    pub fn open(folder: &Path) -> Result<Self, CatalogError> {
+        let manifest = manifest::newest(folder)?
+            .ok_or_else(|| CatalogError::NotACatalog { folder: folder.to_owned() })?;
+        Ok(Self { folder: folder.to_owned(), manifest })
+    }
+
+    /// Opens the newest generation together with all of its archives.
+    ///
+    /// # Errors
+    ///
+    /// Any [`CatalogError`]. A dataset replaced or removed meanwhile is none: the newer generation
+    /// is opened instead.
+    pub fn open_with_archives(folder: &Path) -> Result<(Self, Vec<Archive>), CatalogError> {
+        loop {
+            let catalog = Self::open(folder)?;
+            let archives = catalog.datasets().iter().map(|record| catalog.archive(record));
+            match archives.collect() {
+                Ok(archives) => return Ok((catalog, archives)),
+                Err(CatalogError::Missing { .. })
+                    if Self::open(folder)?.generation() > catalog.generation() => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    /// How often the catalog has changed.
+    #[must_use]
+    pub fn generation(&self) -> u64 {
+        self.manifest.generation
+    }
+
+    /// The body that all of its datasets show.
+    #[must_use]
+    pub fn body(&self) -> &Body {
+        &self.manifest.body
+    }
+
+    /// The datasets, by name.
+    #[must_use]
+    pub fn datasets(&self) -> &[DatasetRecord] {
+        &self.manifest.datasets
+    }
+
+    /// The dataset called `name`.
+    ///
+    /// # Errors
+    ///
+    /// [`CatalogError::NoSuchDataset`].
+    pub fn dataset(&self, name: &str) -> Result<&DatasetRecord, CatalogError> {
+        let found = self.datasets().iter().find(|record| record.name == name);
+        found.ok_or_else(|| CatalogError::NoSuchDataset {
+            name: name.to_owned(),
+            folder: self.folder.clone(),
+        })
+    }
+
+    /// Where the archive of a dataset lies.
+    #[must_use]
+    pub fn archive_path(&self, record: &DatasetRecord) -> PathBuf {
+        self.folder.join(publish::ARCHIVES).join(&record.file)
+    }
+
+    /// Opens the archive of a dataset.
+    ///
+    /// # Errors
+    ///
+    /// [`CatalogError::Missing`] if the file is gone: a newer generation may have dropped it.
+    pub fn archive(&self, record: &DatasetRecord) -> Result<Archive, CatalogError> {
+        let path = self.archive_path(record);
+        let file = match fs::File::open(&path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                return Err(CatalogError::Missing { path });
+            }
+            opened => opened.and_then(FileSource::new),
+        };
+        let source = file.map_err(|source| CatalogError::io("open", &path, source))?;
+        Archive::open(Box::new(source)).map_err(|source| CatalogError::Archive { path, source })
+    }
+}

@@ -1,0 +1,278 @@
+//! Changing a catalog: one atomic step a change.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use super::disk::Disk;
+use super::error::CatalogError;
+use super::manifest::{self, DatasetRecord, Manifest};
+use crate::archive::Source;
+use crate::body::Body;
+use crate::page::Kind;
+
+pub(super) const ARCHIVES: &str = "archives";
+const BUILDS: &str = "build";
+const LOCK: &str = "catalog.lock";
+const TEMPORARY: &str = "manifest-";
+
+/// An archive under construction in a catalog's folder.
+///
+/// It is a [`Write`] sink. The file is locked as long as this lives: two processes cannot build
+/// one dataset at once, and a file that can be locked belongs to nobody.
+pub struct Build<'a> {
+    disk: &'a dyn Disk,
+    folder: PathBuf,
+    path: PathBuf,
+    file: File,
+}
+
+/// What the manifest is to say of a finished build.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NewDataset {
+    /// The dataset's name.
+    pub name: String,
+    /// What its texels are.
+    pub kind: Kind,
+    /// Higher covers lower.
+    pub priority: i32,
+    /// The body it shows.
+    pub body: Body,
+    /// Length of the archive in bytes.
+    pub bytes: u64,
+    /// The archive's content, from [`Written`](crate::archive::Written).
+    pub content: u64,
+    /// What it was made from.
+    pub source: Source,
+}
+
+impl<'a> Build<'a> {
+    /// Starts a build of `name` in the catalog at `folder`, which need not exist yet. Leftovers of
+    /// an earlier build are discarded.
+    ///
+    /// # Errors
+    ///
+    /// [`CatalogError::Name`], [`CatalogError::Busy`], or [`CatalogError::Io`].
+    pub fn start(disk: &'a dyn Disk, folder: &Path, name: &str) -> Result<Self, CatalogError> {
+        check_name(name)?;
+        for folder in [folder.join(BUILDS), folder.join(ARCHIVES)] {
+            disk.create_folders(&folder)
+                .map_err(|source| CatalogError::io("create", &folder, source))?;
+        }
+        let path = folder.join(BUILDS).join(format!("{name}.part"));
+        let failed = |action| move |path: &Path, source| CatalogError::io(action, path, source);
+        let file = disk.open_or_create(&path).map_err(|error| failed("create")(&path, error))?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(fs::TryLockError::WouldBlock) => {
+                return Err(CatalogError::Busy { name: name.to_owned() });
+            }
+            Err(fs::TryLockError::Error(error)) => return Err(failed("lock")(&path, error)),
+        }
+        // Between opening and locking another builder may have renamed this very file.
+        if !same_file(&file, &path) {
+            return Err(CatalogError::Busy { name: name.to_owned() });
+        }
+        disk.truncate(&file).map_err(|error| failed("empty")(&path, error))?;
+        Ok(Self { disk, folder: folder.to_owned(), path, file })
+    }
+
+    /// Gives the build up and removes its file.
+    ///
+    /// # Errors
+    ///
+    /// [`CatalogError::Io`].
+    pub fn discard(self) -> Result<(), CatalogError> {
+        self.disk
+            .remove(&self.path)
+            .map_err(|source| CatalogError::io("remove", &self.path, source))
+    }
+}
+
+impl std::fmt::Debug for Build<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Build").field("path", &self.path).finish_non_exhaustive()
+    }
+}
+
+impl Write for Build<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.disk.append(&mut self.file, bytes)?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Makes a finished build a dataset of its catalog, replacing one of its name, and returns the
+/// generation that has it.
+///
+/// # Errors
+///
+/// [`CatalogError`]; the catalog then is as it was, or, if only the sweeping failed, has the
+/// dataset.
+pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, CatalogError> {
+    let Build { disk, folder, path, file } = build;
+    disk.sync_file(&file).map_err(|source| CatalogError::io("sync", &path, source))?;
+    let name = format!("{}-{:016x}.areoid", dataset.name, dataset.content);
+    let archives = folder.join(ARCHIVES);
+    let target = archives.join(&name);
+
+    change(disk, &folder, |newest| {
+        let mut manifest = newest.unwrap_or_else(|| Manifest::empty(dataset.body.clone()));
+        if manifest.datasets.is_empty() {
+            manifest.body = dataset.body.clone();
+        }
+        if !manifest.body.same_as(&dataset.body) {
+            return Err(CatalogError::OtherBody {
+                catalog: manifest.body.name,
+                raster: dataset.body.name.clone(),
+            });
+        }
+        // A second try after a lost race finds the file in place.
+        if path.exists() {
+            disk.rename(&path, &target)
+                .map_err(|source| CatalogError::io("rename", &path, source))?;
+            disk.sync_folder(&archives)
+                .map_err(|source| CatalogError::io("sync", &archives, source))?;
+        }
+        manifest.datasets.retain(|record| record.name != dataset.name);
+        manifest.datasets.push(DatasetRecord {
+            name: dataset.name.clone(),
+            file: name.clone(),
+            kind: dataset.kind,
+            priority: dataset.priority,
+            bytes: dataset.bytes,
+            content: format!("{:016x}", dataset.content),
+            source: dataset.source.clone(),
+        });
+        manifest.datasets.sort_by(|one, other| one.name.cmp(&other.name));
+        Ok(manifest)
+    })
+}
+
+/// Removes the dataset called `name` and returns the generation without it.
+///
+/// # Errors
+///
+/// [`CatalogError::NotACatalog`], [`CatalogError::NoSuchDataset`], or [`CatalogError::Io`].
+pub fn remove_dataset(disk: &dyn Disk, folder: &Path, name: &str) -> Result<u64, CatalogError> {
+    // Asked first without the lock, whose file would make a catalog of any folder.
+    super::Catalog::open(folder)?.dataset(name)?;
+    change(disk, folder, |newest| {
+        let mut manifest =
+            newest.ok_or_else(|| CatalogError::NotACatalog { folder: folder.to_owned() })?;
+        let before = manifest.datasets.len();
+        manifest.datasets.retain(|record| record.name != name);
+        if manifest.datasets.len() == before {
+            let folder = folder.to_owned();
+            return Err(CatalogError::NoSuchDataset { name: name.to_owned(), folder });
+        }
+        Ok(manifest)
+    })
+}
+
+/// Publishes the generation that `step` makes of the newest one.
+fn change(
+    disk: &dyn Disk,
+    folder: &Path,
+    mut step: impl FnMut(Option<Manifest>) -> Result<Manifest, CatalogError>,
+) -> Result<u64, CatalogError> {
+    let lock_path = folder.join(LOCK);
+    let lock = disk
+        .open_or_create(&lock_path)
+        .and_then(|lock| lock.lock().map(|()| lock))
+        .map_err(|source| CatalogError::io("lock", &lock_path, source))?;
+    loop {
+        let newest = manifest::newest(folder)?;
+        let generation = newest.as_ref().map_or(1, |manifest| manifest.generation + 1);
+        let manifest = Manifest { generation, ..step(newest)? };
+        if link_manifest(disk, folder, &manifest)? {
+            sweep(disk, folder, &manifest)?;
+            drop(lock);
+            return Ok(generation);
+        }
+    }
+}
+
+/// Writes `manifest` and links it to its name; false if another writer has taken it.
+fn link_manifest(
+    disk: &dyn Disk,
+    folder: &Path,
+    manifest: &Manifest,
+) -> Result<bool, CatalogError> {
+    let temporary = folder.join(format!("{TEMPORARY}{}", std::process::id()));
+    let target = folder.join(manifest::file_name(manifest.generation));
+    let write = || {
+        let mut file = disk.open_or_create(&temporary)?;
+        disk.truncate(&file)?;
+        disk.append(&mut file, &manifest.to_bytes())?;
+        disk.sync_file(&file)
+    };
+    write().map_err(|source| CatalogError::io("write", &temporary, source))?;
+    let linked = match disk.link(&temporary, &target) {
+        Ok(()) => true,
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => false,
+        Err(source) => return Err(CatalogError::io("link", &target, source)),
+    };
+    disk.remove(&temporary).map_err(|source| CatalogError::io("remove", &temporary, source))?;
+    disk.sync_folder(folder).map_err(|source| CatalogError::io("sync", folder, source))?;
+    Ok(linked)
+}
+
+/// Removes older manifests, temporary ones of killed writers, and archives that `manifest` does
+/// not name. All of that is nobody's while the catalog's lock is held.
+fn sweep(disk: &dyn Disk, folder: &Path, manifest: &Manifest) -> Result<(), CatalogError> {
+    for generation in manifest::generations(folder)? {
+        if generation < manifest.generation {
+            remove(disk, &folder.join(manifest::file_name(generation)))?;
+        }
+    }
+    for name in names_in(folder)?.filter(|name| name.starts_with(TEMPORARY)) {
+        remove(disk, &folder.join(name))?;
+    }
+    let archives = folder.join(ARCHIVES);
+    let named = |name: &String| manifest.datasets.iter().any(|record| record.file == *name);
+    for name in names_in(&archives)?.filter(|name| !named(name)) {
+        remove(disk, &archives.join(name))?;
+    }
+    Ok(())
+}
+
+fn names_in(folder: &Path) -> Result<impl Iterator<Item = String>, CatalogError> {
+    let listing =
+        fs::read_dir(folder).map_err(|source| CatalogError::io("list", folder, source))?;
+    Ok(listing.filter_map(|entry| entry.ok()?.file_name().into_string().ok()))
+}
+
+fn remove(disk: &dyn Disk, path: &Path) -> Result<(), CatalogError> {
+    match disk.remove(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            Err(CatalogError::io("remove", path, error))
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(unix)]
+fn same_file(file: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt as _;
+    let identity = |data: fs::Metadata| (data.dev(), data.ino());
+    matches!((file.metadata(), fs::metadata(path)), (Ok(one), Ok(other)) if identity(one.clone()) == identity(other.clone()))
+}
+
+#[cfg(not(unix))]
+fn same_file(_file: &File, path: &Path) -> bool {
+    path.exists()
+}
+
+/// Refuses names that are not plain file names on every system.
+fn check_name(name: &str) -> Result<(), CatalogError> {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    let plain = (1..=100).contains(&name.len())
+        && name.chars().all(allowed)
+        && name.starts_with(|c: char| c.is_ascii_alphanumeric());
+    if plain { Ok(()) } else { Err(CatalogError::Name { name: name.to_owned() }) }
+}

@@ -1,0 +1,305 @@
+//! Pages of heights: integers on a step, or floats bit for bit.
+//!
+//! ```text
+//!   0           form, u8: 0x10 | 1 with a coverage plane | 2 with lanes of 32 bits, else 16
+//!   1           base, i32: the least index of a covered texel
+//!   5           lane image of index - base, wrapping
+//!   ..          lane image of 8 bits: the coverage, if there is any
+//! ```
+//!
+//! Without a step the index of a float is its bits as an i32, all but the sign flipped if it is
+//! negative: an order-preserving map of all floats, -0.0 (index -1) beside 0.0 (index 0).
+
+use super::bits::Lane;
+use super::coverage::{self, Presence};
+use super::error::{DecodeError, EncodeError};
+use super::image::{self, ImageScratch, PlaneScratch};
+use super::predict::cheapest;
+use super::quantum::Quantum;
+use super::reader::Reader;
+use super::{Scratch, check_length, check_side};
+
+const FORM: u8 = 0x10;
+const COVERAGE: u8 = 1;
+const WIDE: u8 = 2;
+
+/// Texels handled together: found good in one go, or looked at one by one.
+const CHUNK: usize = 64;
+
+/// Encodes a page of heights.
+///
+/// # Units
+///
+/// Texels and quantum are meters. Coverage is 0 to 255, 0 for no data.
+///
+/// # Shapes
+///
+/// `texels` and `coverage` are row-major, `side * side`. No coverage means 255 everywhere; coverage
+/// of 255 everywhere is stored as none.
+///
+/// # Domain
+///
+/// A texel is NaN exactly where its coverage is 0. Elsewhere it is finite and, if there is a step,
+/// on it ([`Quantum::round`] puts it there); -0.0 is on no step, and kept where there is none.
+/// NaN payloads are not kept.
+///
+/// # Errors
+///
+/// [`EncodeError`] outside the domain.
+pub fn encode_heights(
+    texels: &[f32],
+    coverage: Option<&[u8]>,
+    side: usize,
+    quantum: Quantum,
+) -> Result<Vec<u8>, EncodeError> {
+    let mut payload = Vec::new();
+    encode_heights_into(texels, coverage, side, quantum, &mut Scratch::default(), &mut payload)?;
+    Ok(payload)
+}
+
+/// [`encode_heights`] into `payload`, which is cleared first. After an error it holds nothing of use.
+///
+/// # Errors
+///
+/// As [`encode_heights`].
+pub fn encode_heights_into(
+    texels: &[f32],
+    coverage: Option<&[u8]>,
+    side: usize,
+    quantum: Quantum,
+    scratch: &mut Scratch,
+    payload: &mut Vec<u8>,
+) -> Result<(), EncodeError> {
+    check_side(side).map_err(|found| EncodeError::Side { found })?;
+    let quantum = quantum.checked()?;
+    check_length("texels", texels.len(), side * side)?;
+    if let Some(coverage) = coverage {
+        check_length("coverage", coverage.len(), side * side)?;
+    }
+    let coverage = coverage::partial(coverage);
+
+    let Scratch { indices, bytes, halves, words, shared, .. } = scratch;
+    let (base, last) = index(texels, coverage, quantum, indices)?;
+    let range = last.wrapping_sub(base).cast_unsigned();
+    let wide = range > u32::from(u16::MAX);
+
+    payload.clear();
+    payload
+        .push(FORM | if coverage.is_some() { COVERAGE } else { 0 } | if wide { WIDE } else { 0 });
+    payload.extend_from_slice(&base.to_le_bytes());
+    if wide {
+        let lane = |index: i32| index.wrapping_sub(base).cast_unsigned();
+        write_lanes(indices, lane, coverage, side, words, shared, payload);
+    } else {
+        #[expect(clippy::cast_possible_truncation, reason = "in range where there is coverage")]
+        let lane = |index: i32| index.wrapping_sub(base).cast_unsigned() as u16;
+        write_lanes(indices, lane, coverage, side, halves, shared, payload);
+    }
+    if let Some(coverage) = coverage {
+        coverage::write(coverage, side, bytes, shared, payload);
+    }
+    Ok(())
+}
+
+fn write_lanes<L: Lane>(
+    indices: &[i32],
+    lane: impl Fn(i32) -> L,
+    coverage: Option<&[u8]>,
+    side: usize,
+    scratch: &mut ImageScratch<L>,
+    shared: &mut PlaneScratch,
+    payload: &mut Vec<u8>,
+) {
+    let lanes = scratch.lanes_mut(side);
+    for (l, &index) in lanes.iter_mut().zip(indices) {
+        *l = lane(index);
+    }
+    if let Some(coverage) = coverage {
+        coverage::hold(coverage, lanes);
+    }
+    let (predictor, _) = cheapest(lanes, side);
+    image::write(scratch, shared, coverage, side, predictor, payload);
+}
+
+/// Fills `indices`, and returns the least and greatest of covered texels (0 and 0 if there are
+/// none). Indices without coverage are anything.
+fn index(
+    texels: &[f32],
+    coverage: Option<&[u8]>,
+    quantum: Quantum,
+    indices: &mut Vec<i32>,
+) -> Result<(i32, i32), EncodeError> {
+    indices.resize(texels.len(), 0);
+    let (mut least, mut greatest) = (i32::MAX, i32::MIN);
+    for (chunk, (texels, indices)) in
+        texels.chunks(CHUNK).zip(indices.chunks_mut(CHUNK)).enumerate()
+    {
+        let start = chunk * CHUNK;
+        let coverage = coverage.map(|coverage| &coverage[start..][..texels.len()]);
+        let covered = coverage.is_none_or(|coverage| coverage.iter().all(|&c| c != 0));
+        if covered && index_all(texels, quantum, indices) {
+            for &index in &*indices {
+                least = least.min(index);
+                greatest = greatest.max(index);
+            }
+            continue;
+        }
+        for (i, (&texel, index)) in texels.iter().zip(indices).enumerate() {
+            if coverage.is_some_and(|coverage| coverage[i] == 0) {
+                if !texel.is_nan() {
+                    return Err(EncodeError::Uncovered { index: start + i, texel });
+                }
+            } else {
+                *index = index_one(start + i, texel, quantum)?;
+                least = least.min(*index);
+                greatest = greatest.max(*index);
+            }
+        }
+    }
+    Ok(if least > greatest { (0, 0) } else { (least, greatest) })
+}
+
+/// Indices of texels that are all covered; `false` if one needs a closer look.
+fn index_all(texels: &[f32], quantum: Quantum, indices: &mut [i32]) -> bool {
+    let mut good = true;
+    if quantum.is_none() {
+        for (index, &texel) in indices.iter_mut().zip(texels) {
+            good &= texel.is_finite();
+            *index = index_from_float(texel);
+        }
+    } else {
+        for (index, &texel) in indices.iter_mut().zip(texels) {
+            *index = quantum.nearest(texel);
+            good &= quantum.value(*index).to_bits() == texel.to_bits();
+        }
+    }
+    good
+}
+
+fn index_one(at: usize, texel: f32, quantum: Quantum) -> Result<i32, EncodeError> {
+    if !texel.is_finite() {
+        return Err(EncodeError::NotFinite { index: at, texel });
+    }
+    if quantum.is_none() {
+        return Ok(index_from_float(texel));
+    }
+    quantum.index(texel).ok_or(EncodeError::OffStep { index: at, texel })
+}
+
+/// The bits of a float in the order of floats, as the module's documentation has it.
+#[inline(always)]
+const fn index_from_float(texel: f32) -> i32 {
+    flip(texel.to_bits().cast_signed())
+}
+
+#[inline(always)]
+const fn float_from_index(index: i32) -> f32 {
+    f32::from_bits(flip(index).cast_unsigned())
+}
+
+/// Flips all bits but the sign of a negative number: its own inverse.
+#[inline(always)]
+const fn flip(bits: i32) -> i32 {
+    bits ^ (bits >> 31) & i32::MAX
+}
+
+/// Decodes a page of heights: texels, and their coverage where it is not 255 everywhere.
+///
+/// `quantum` is the one that the page was encoded with; the payload does not hold it.
+///
+/// # Shapes
+///
+/// Row-major, `side * side`, both. A texel is NaN exactly where its coverage is 0, else finite.
+///
+/// # Errors
+///
+/// [`DecodeError`] if the bytes are no such payload. Whatever they are, memory stays within what
+/// `side` implies.
+pub fn decode_heights(
+    bytes: &[u8],
+    side: usize,
+    quantum: Quantum,
+) -> Result<(Vec<f32>, Option<Vec<u8>>), DecodeError> {
+    let (mut texels, mut coverage) = (Vec::new(), Vec::new());
+    let scratch = &mut Scratch::default();
+    decode_heights_into(bytes, side, quantum, scratch, &mut texels, &mut coverage)?;
+    Ok((texels, (!coverage.is_empty()).then_some(coverage)))
+}
+
+/// [`decode_heights`] into `texels` and `coverage`, which ends up empty where everything is covered.
+/// After an error neither holds anything of use.
+///
+/// # Errors
+///
+/// As [`decode_heights`].
+pub fn decode_heights_into(
+    bytes: &[u8],
+    side: usize,
+    quantum: Quantum,
+    scratch: &mut Scratch,
+    texels: &mut Vec<f32>,
+    coverage: &mut Vec<u8>,
+) -> Result<(), DecodeError> {
+    check_side(side).map_err(|found| DecodeError::Side { found })?;
+    let quantum = quantum.checked()?;
+    let mut reader = Reader::new(bytes);
+    let [form] = reader.array("form")?;
+    if form & !(COVERAGE | WIDE) != FORM {
+        let expected = "a page of heights, 0x10 to 0x13";
+        return Err(DecodeError::Field { field: "form", offset: 0, expected, found: form.into() });
+    }
+    let base = i32::from_le_bytes(reader.array("base")?);
+
+    texels.resize(side * side, 0.0);
+    let Scratch { bytes, halves, words, shared, .. } = scratch;
+    if form & WIDE == 0 {
+        image::read(&mut reader, side, halves, shared)?;
+        value(halves.lanes_mut(side), base, quantum, texels);
+    } else {
+        image::read(&mut reader, side, words, shared)?;
+        value(words.lanes_mut(side), base, quantum, texels);
+    }
+    coverage::read(Presence::from_form(form), &mut reader, side, bytes, shared, coverage)?;
+    reader.finish()?;
+
+    for (texel, &covered) in texels.iter_mut().zip(&*coverage) {
+        if covered == 0 {
+            *texel = f32::NAN;
+        }
+    }
+    if quantum.is_none() {
+        check_finite(texels, coverage)?;
+    }
+    Ok(())
+}
+
+/// Turns lanes into heights.
+fn value<L: Lane>(lanes: &[L], base: i32, quantum: Quantum, texels: &mut [f32]) {
+    let index = |lane: L| base.wrapping_add(lane.into().cast_signed());
+    let pairs = texels.iter_mut().zip(lanes);
+    if quantum.is_none() {
+        pairs.for_each(|(texel, &lane)| *texel = float_from_index(index(lane)));
+    } else if quantum == (Quantum { step: 1.0, offset: 0.0 }) {
+        // An i32 is exact in f64, so one rounding or two make no difference.
+        pairs.for_each(|(texel, &lane)| *texel = index(lane) as f32);
+    } else {
+        pairs.for_each(|(texel, &lane)| *texel = quantum.value(index(lane)));
+    }
+}
+
+/// Damaged floats may be infinite, or NaN where there is coverage.
+fn check_finite(texels: &[f32], coverage: &[u8]) -> Result<(), DecodeError> {
+    let finite = texels.iter().filter(|texel| texel.is_finite()).count();
+    let covered = match coverage {
+        [] => texels.len(),
+        _ => coverage.iter().filter(|&&covered| covered != 0).count(),
+    };
+    if finite == covered {
+        return Ok(());
+    }
+    let index = texels
+        .iter()
+        .enumerate()
+        .position(|(i, texel)| !texel.is_finite() && coverage.get(i).is_none_or(|&c| c != 0));
+    Err(DecodeError::NotFinite { index: index.unwrap_or_default() })
+}
