@@ -4,12 +4,11 @@
 //! clockwise from north, pitches up from the horizon: a pitch of -90° looks straight down, with
 //! the heading at the top of the picture.
 
+use areoid_cache::View;
 use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::Geographic;
 use areoid_formats::units::{Meters, Radians};
 use glam::{DMat3, DVec3};
-
-use crate::contract::View;
 
 /// A forward direction this near to the vertical, relative to its length, has no heading.
 const VERTICAL: f64 = 1e-9;
