@@ -67,13 +67,7 @@ impl Pose {
     /// The view of this pose.
     #[must_use]
     pub fn view(self, vertical_fov: Radians, viewport: [u32; 2], tolerance_px: f64) -> View {
-        View {
-            eye: self.eye,
-            orientation: self.orientation,
-            vertical_fov,
-            viewport,
-            tolerance_px,
-        }
+        View { eye: self.eye, orientation: self.orientation, vertical_fov, viewport, tolerance_px }
     }
 }
 

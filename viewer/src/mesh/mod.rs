@@ -3,3 +3,9 @@
 pub(crate) mod sphere;
 
 pub(crate) mod tree;
+
+pub(crate) mod frame;
+
+pub(crate) mod detail;
+
+pub(crate) mod patches;

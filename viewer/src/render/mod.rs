@@ -1,0 +1,11 @@
+//! One path from a selection to a picture, with a window or without.
+
+mod aovs;
+mod buffers;
+mod pipelines;
+mod renderer;
+mod resident;
+mod targets;
+
+pub use aovs::Aovs;
+pub use renderer::{FrameStatistics, Image, Light, Options, Renderer};
