@@ -3,7 +3,7 @@
 //! A file may use what stands before it in the list of its program.
 
 /// Everything that finds and composes values of a place.
-const SURFACE: &[&str] = &[
+pub(crate) const SURFACE: &[&str] = &[
     include_str!("shader/angle.wgsl"),
     include_str!("shader/scene.wgsl"),
     include_str!("shader/frame.wgsl"),

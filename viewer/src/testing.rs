@@ -168,3 +168,13 @@ fn window(info: &DatasetInfo, image: &LevelImage, address: PageAddress) -> Optio
 }
 
 mod gallery;
+
+mod reference;
+
+mod twins;
+
+/// The device that all tests share: a pipeline's first use is slow.
+pub(crate) fn gpu() -> &'static crate::Gpu {
+    static GPU: std::sync::OnceLock<crate::Gpu> = std::sync::OnceLock::new();
+    GPU.get_or_init(|| crate::Gpu::headless().unwrap())
+}

@@ -7,5 +7,8 @@ mod renderer;
 mod resident;
 mod targets;
 
+#[cfg(test)]
+pub(crate) mod testing;
+
 pub use aovs::Aovs;
 pub use renderer::{FrameStatistics, Image, Light, Options, Renderer};
