@@ -23,12 +23,15 @@ pub struct HeightAnswer {
     pub datasets: Vec<usize>,
 }
 
+/// Pages read so far; those that are not there as `None`.
+type PagesRead = HashMap<PageAddress, Option<Arc<(PageEntry, Page)>>>;
+
 /// Answers queries on the height datasets among some archives.
 #[derive(Debug)]
 pub struct HeightQuery<'a> {
     archives: &'a [Archive],
     level: Option<Level>,
-    pages: Vec<HashMap<PageAddress, Option<Arc<(PageEntry, Page)>>>>,
+    pages: Vec<PagesRead>,
 }
 
 impl<'a> HeightQuery<'a> {

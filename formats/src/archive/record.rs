@@ -108,6 +108,10 @@ impl Marker {
     ///
     /// [`ArchiveError::Checksum`] if the body is not the one the head promises. `offset` is where
     /// the record starts.
+    ///
+    /// # Panics
+    ///
+    /// Never: lists that the body's length holds fit `usize`.
     pub fn parse(head: MarkerHead, body: &[u8], offset: u64) -> Result<Self, ArchiveError> {
         if checksum(body) != head.body_checksum || body_len(head) != Some(body.len() as u64) {
             return Err(ArchiveError::Checksum { what: "the marker of a work unit", offset });
