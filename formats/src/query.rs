@@ -69,11 +69,7 @@ impl<'a> HeightQuery<'a> {
     }
 
     /// What one dataset says of a position.
-    fn layer(
-        &mut self,
-        place: usize,
-        position: Geographic,
-    ) -> Result<Option<Layer>, ArchiveError> {
+    fn layer(&mut self, place: usize, position: Geographic) -> Result<Option<Layer>, ArchiveError> {
         let description = self.archives[place].description();
         if description.kind != Kind::Height {
             return Ok(None);

@@ -316,8 +316,9 @@ impl Archive {
         for entry in &entries {
             self.check(entry)?;
         }
-        if let Some(pair) =
-            entries.windows(2).find(|pair| PageKey::from(pair[0].page) >= PageKey::from(pair[1].page))
+        if let Some(pair) = entries
+            .windows(2)
+            .find(|pair| PageKey::from(pair[0].page) >= PageKey::from(pair[1].page))
         {
             let reason = "the index is not in the order of keys";
             return Err(ArchiveError::Entry { page: pair[1].page, reason });
@@ -390,7 +391,13 @@ impl Tail {
         }
         let summary: Option<Summary> = serde_json::from_slice(&json).ok();
         let summary = summary.filter(|summary| summary.levels.len() == levels);
-        Ok(summary.map(|summary| Self { archive, trailer, shape, summary, blocks: RwLock::default() }))
+        Ok(summary.map(|summary| Self {
+            archive,
+            trailer,
+            shape,
+            summary,
+            blocks: RwLock::default(),
+        }))
     }
 
     /// Where the index starts.
@@ -403,7 +410,11 @@ impl Tail {
         self.trailer.copy
     }
 
-    fn find(&self, source: &dyn ByteSource, key: PageKey) -> Result<Option<PageEntry>, ArchiveError> {
+    fn find(
+        &self,
+        source: &dyn ByteSource,
+        key: PageKey,
+    ) -> Result<Option<PageEntry>, ArchiveError> {
         let walk = self.descend(key, |height, number, sum| {
             self.block(source, height, number, sum).map(Some)
         })?;
@@ -455,7 +466,8 @@ impl Tail {
         let offset = self.trailer.index + position * BLOCK_LEN as u64;
         let damaged = ArchiveError::Checksum { what, offset };
         // A thread that panicked here left a whole map behind: insertion is its only change.
-        let held = self.blocks.read().unwrap_or_else(PoisonError::into_inner).get(&position).cloned();
+        let held =
+            self.blocks.read().unwrap_or_else(PoisonError::into_inner).get(&position).cloned();
         if let Some(block) = held {
             return Ok(block);
         }
@@ -556,7 +568,9 @@ fn read_trailer(source: &dyn ByteSource) -> Result<Trailer, ArchiveError> {
         return Err(ArchiveError::Truncated { what, start: 0, end: TRAILER_LEN as u64, len });
     };
     let mut bytes = [0; TRAILER_LEN];
-    source.read_exact_at(&mut bytes, start).map_err(|source| ArchiveError::Read { what, source })?;
+    source
+        .read_exact_at(&mut bytes, start)
+        .map_err(|source| ArchiveError::Read { what, source })?;
     Trailer::parse(&bytes, len)
 }
 

@@ -105,7 +105,10 @@ impl Manifest {
             return Err(invalid("its name says another generation"));
         }
         if let Some(record) = manifest.datasets.iter().find(|record| !record.is_sound()) {
-            return Err(invalid(&format!("no dataset {:?} has a file {:?}", record.name, record.file)));
+            return Err(invalid(&format!(
+                "no dataset {:?} has a file {:?}",
+                record.name, record.file
+            )));
         }
         if !manifest.datasets.is_sorted_by(|one, other| one.name < other.name) {
             return Err(invalid("its datasets are not in the order of their names"));
