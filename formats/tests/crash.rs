@@ -81,7 +81,10 @@ impl Disk for Dying {
 
     fn append(&self, file: &mut File, bytes: &[u8]) -> io::Result<()> {
         let alive = self.step("append", Path::new(""));
-        if alive.is_err() && self.last == Last::Torn && self.taken.load(Ordering::Relaxed) == self.steps + 1 {
+        if alive.is_err()
+            && self.last == Last::Torn
+            && self.taken.load(Ordering::Relaxed) == self.steps + 1
+        {
             RealDisk.append(file, &bytes[..bytes.len() / 2])?;
         }
         alive?;
@@ -144,8 +147,7 @@ fn publish(disk: &dyn Disk, folder: &Path, name: &str, height: u16) -> Result<u6
         full: true,
     };
     let stored = Payload::Record { offset: 0, length: 0, checksum: 0 };
-    let beside =
-        PageEntry { page: PageAddress::new(Level(1), 0, 1), payload: stored, ..entry };
+    let beside = PageEntry { page: PageAddress::new(Level(1), 0, 1), payload: stored, ..entry };
     let texels: Vec<f32> = (0..100_u8).map(|texel| height + f32::from(texel)).collect();
     let payload = codec::encode_heights(&texels, None, 10, Quantum::NONE).unwrap();
 
@@ -206,7 +208,8 @@ fn names_in(folder: &Path) -> Vec<String> {
 /// Checks that a catalog holds what its manifest names and nothing else, but for unfinished builds.
 fn check_swept(folder: &Path) {
     let catalog = Catalog::open(folder).unwrap();
-    let mut expected: Vec<_> = catalog.datasets().iter().map(|record| record.file.clone()).collect();
+    let mut expected: Vec<_> =
+        catalog.datasets().iter().map(|record| record.file.clone()).collect();
     expected.sort();
     assert_eq!(names_in(&folder.join("archives")), expected);
     let manifest = format!("manifest.{}", catalog.generation());
@@ -321,10 +324,8 @@ fn nothing_is_relied_on_before_it_is_synced() {
     let archive_synced = place(&second, "sync file", Path::new(""));
     let name_synced = place(&second, "sync", &archives);
     let manifest_synced = second.iter().rposition(|step| step.starts_with("sync file")).unwrap();
-    let generation_synced = second
-        .iter()
-        .rposition(|step| *step == format!("sync {}", folder.display()))
-        .unwrap();
+    let generation_synced =
+        second.iter().rposition(|step| *step == format!("sync {}", folder.display())).unwrap();
     let old_removed = place(&second, "remove", &folder.join("manifest.1"));
     let archive_removed = place(&second, "remove", &archives);
     assert!(archive_synced < renamed && renamed < name_synced, "{second:#?}");
@@ -337,7 +338,8 @@ fn nothing_is_relied_on_before_it_is_synced() {
 fn a_second_builder_of_a_name_is_told() {
     let home = tempfile::tempdir().unwrap();
     let one = Build::start(&RealDisk, home.path(), "mola").unwrap();
-    let busy = |name| matches!(Build::start(&RealDisk, home.path(), name), Err(CatalogError::Busy { .. }));
+    let busy =
+        |name| matches!(Build::start(&RealDisk, home.path(), name), Err(CatalogError::Busy { .. }));
     assert!(busy("mola"));
     assert!(!busy("viking"));
     drop(one);
@@ -396,7 +398,9 @@ fn a_refused_change_leaves_everything() {
 fn odd_files_do_not_hang_or_mislead() {
     let (_home, folder) = two_datasets();
     let before = shown(&folder);
-    for name in ["manifest.007", "manifest.+9", "manifest.9x", "manifest.", "manifest.99999999999999999999"] {
+    for name in
+        ["manifest.007", "manifest.+9", "manifest.9x", "manifest.", "manifest.99999999999999999999"]
+    {
         fs::write(folder.join(name), "nothing").unwrap();
         assert_eq!(shown(&folder), before, "{name}");
         fs::remove_file(folder.join(name)).unwrap();

@@ -30,6 +30,8 @@ const BLOCK_MAGIC: [u8; 4] = *b"ArIx";
 const HEIGHT_AT: usize = 4;
 const COUNT_AT: usize = 8;
 const ARCHIVE_AT: usize = 16;
+const _: () = assert!(ENTRIES_PER_LEAF * ENTRY_LEN == BLOCK_LEN - BLOCK_HEAD_LEN);
+const _: () = assert!(CHILDREN_PER_BLOCK * CHILD_LEN == BLOCK_LEN - BLOCK_HEAD_LEN);
 
 /// The shape of an index: how many blocks stand at each height, leaves first.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -8,6 +8,7 @@
 
 mod cut;
 mod damage;
+mod format;
 mod hostile;
 mod lookup;
 mod round_trip;
