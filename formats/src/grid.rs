@@ -125,6 +125,10 @@ impl Grid {
     /// # Errors
     ///
     /// Any [`GridError`].
+    ///
+    /// # Panics
+    ///
+    /// Never: a map that meets a pole draws it.
     pub fn from_outline(
         crs: Crs,
         outline: Outline,

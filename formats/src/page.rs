@@ -2,7 +2,7 @@
 //!
 //! A texel is *valid* where its coverage is not zero. Coverage is the weight a texel carries in a
 //! composition: 255 well inside the data, falling toward holes and outlines (see
-//! [`feather`](crate::feather)). Validity decides whether a texel counts at all; coverage decides
+//! [`archive`](crate::archive) for how it is made). Validity decides whether a texel counts at all; coverage decides
 //! how much of it shows over other datasets.
 
 use serde::{Deserialize, Serialize};

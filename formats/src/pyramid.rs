@@ -82,6 +82,14 @@ pub enum PyramidError {
         /// The side asked for.
         found: u32,
     },
+    /// More pages in a row or column than a [`PageKey`](crate::address::PageKey) can name.
+    #[error("{width} x {height} texels make more than 2^28 pages a side: use larger pages")]
+    TooManyPages {
+        /// Texels in a row.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
     /// A grid around the body whose size does not halve far enough.
     #[error(
         "{width} x {height} texels around the body do not halve evenly down to 3 x 2 pages: \
@@ -150,6 +158,9 @@ impl Pyramid {
             return Err(PyramidError::PoleWithoutTurn);
         }
         let interior = page_side - 2 * Self::BORDER;
+        if width.max(height).div_ceil(interior) > PageAddress::MAX_PAGES_PER_SIDE {
+            return Err(PyramidError::TooManyPages { width, height });
+        }
         let uneven =
             PyramidError::Uneven { width, height, next_width: next_even_width(width, interior) };
         // λ + 180° must fall on a column.
@@ -161,9 +172,9 @@ impl Pyramid {
         let mut size = sizes[0];
         while size.width > interior || size.height > interior {
             let half = LevelSize { width: size.width.div_ceil(2), height: size.height.div_ceil(2) };
-            let width_halves = !wraps || size.width % 2 == 0;
-            let half_turn_stays = !reaches_pole || half.width % 2 == 0;
-            let rows_halve = south != PoleContact::Outline || size.height % 2 == 0;
+            let width_halves = !wraps || size.width.is_multiple_of(2);
+            let half_turn_stays = !reaches_pole || half.width.is_multiple_of(2);
+            let rows_halve = south != PoleContact::Outline || size.height.is_multiple_of(2);
             if !(width_halves && half_turn_stays && rows_halve) {
                 let fits = size.width <= Self::MAX_ROOT_COLS * interior
                     && size.height <= Self::MAX_ROOT_ROWS * interior;
@@ -390,6 +401,18 @@ mod tests {
     fn region(width: u32, height: u32) -> Extent {
         let none = PoleContact::None;
         Extent { width, height, wraps: false, north: none, south: none }
+    }
+
+    #[test]
+    fn a_page_beyond_what_a_key_can_name_is_refused() {
+        let most = 6 * PageAddress::MAX_PAGES_PER_SIDE;
+        let pyramid = Pyramid::new(region(most, 1), 8).unwrap();
+        let (_, cols) = pyramid.pages(pyramid.finest()).unwrap();
+        assert_eq!(cols, PageAddress::MAX_PAGES_PER_SIDE);
+        for extent in [region(most + 1, 1), region(1, u32::MAX)] {
+            let refused = Pyramid::new(extent, 8);
+            assert!(matches!(refused, Err(PyramidError::TooManyPages { .. })), "{refused:?}");
+        }
     }
 
     fn roots(extent: Extent) -> (u32, u32, u8) {

@@ -23,12 +23,15 @@ pub struct HeightAnswer {
     pub datasets: Vec<usize>,
 }
 
+/// Pages read so far; those that are not there as `None`.
+type PagesRead = HashMap<PageAddress, Option<Arc<(PageEntry, Page)>>>;
+
 /// Answers queries on the height datasets among some archives.
 #[derive(Debug)]
 pub struct HeightQuery<'a> {
     archives: &'a [Archive],
     level: Option<Level>,
-    pages: Vec<HashMap<PageAddress, Option<Arc<(PageEntry, Page)>>>>,
+    pages: Vec<PagesRead>,
 }
 
 impl<'a> HeightQuery<'a> {
@@ -66,11 +69,7 @@ impl<'a> HeightQuery<'a> {
     }
 
     /// What one dataset says of a position.
-    fn layer(
-        &mut self,
-        place: usize,
-        position: Geographic,
-    ) -> Result<Option<Layer>, ArchiveError> {
+    fn layer(&mut self, place: usize, position: Geographic) -> Result<Option<Layer>, ArchiveError> {
         let description = self.archives[place].description();
         if description.kind != Kind::Height {
             return Ok(None);

@@ -85,9 +85,16 @@ pub struct LevelSummary {
     /// Payload bytes of the others.
     pub bytes: u64,
     /// The largest bound of a page, in meters or color codes.
+    #[serde(deserialize_with = "infinite_if_null")]
     pub bound_max: f32,
     /// The largest source error of a page.
+    #[serde(deserialize_with = "infinite_if_null")]
     pub source_error_max: f32,
+}
+
+/// JSON has no infinity: heights near the end of f32 can have one for a bound, written `null`.
+fn infinite_if_null<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<f32, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f32::INFINITY))
 }
 
 impl Description {
@@ -114,6 +121,8 @@ impl Description {
             let found = description.unit_pages;
             return Err(invalid(format!("unit_pages is {found}, expected 1..=64")));
         }
+        let Quantum { step, offset } = description.quantum;
+        Quantum::new(step, offset).map_err(|error| invalid(error.to_string()))?;
         if description.kind == Kind::Normal {
             return Err(invalid("normals are not supported yet".to_owned()));
         }

@@ -102,6 +102,18 @@ impl PageEntry {
         bytes
     }
 
+    /// Whether its numbers are ones that a writer writes: ranges in order or NaN, errors that are
+    /// not negative, a share from 0 to 1.
+    #[must_use]
+    pub fn has_sound_figures(&self) -> bool {
+        let range = |low: f32, high: f32| low <= high || low.is_nan() && high.is_nan();
+        (0.0..=1.0).contains(&self.valid_fraction)
+            && range(self.min, self.max)
+            && range(self.lowest, self.highest)
+            && self.bound >= 0.0
+            && self.source_error >= 0.0
+    }
+
     /// The entry that the archive stores as `bytes`. Every 64 bytes are one: a checksum around
     /// them says whether to believe it.
     #[must_use]

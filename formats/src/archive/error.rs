@@ -92,6 +92,15 @@ pub enum ArchiveError {
         source: DecodeError,
     },
 
+    /// The index or a record says something of a page that no writer says.
+    #[error("page {page} is impossible: {reason}")]
+    Entry {
+        /// The page.
+        page: PageAddress,
+        /// What is wrong with what is said of it.
+        reason: &'static str,
+    },
+
     /// The medium failed.
     #[error("cannot read {what}")]
     Read {

@@ -30,10 +30,13 @@ const BLOCK_MAGIC: [u8; 4] = *b"ArIx";
 const HEIGHT_AT: usize = 4;
 const COUNT_AT: usize = 8;
 const ARCHIVE_AT: usize = 16;
+const _: () = assert!(ENTRIES_PER_LEAF * ENTRY_LEN == BLOCK_LEN - BLOCK_HEAD_LEN);
+const _: () = assert!(CHILDREN_PER_BLOCK * CHILD_LEN == BLOCK_LEN - BLOCK_HEAD_LEN);
 
 /// The shape of an index: how many blocks stand at each height, leaves first.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct IndexShape {
+    entries: u64,
     blocks: Vec<u64>,
 }
 
@@ -50,7 +53,7 @@ impl IndexShape {
             }
             count = count.div_ceil(CHILDREN_PER_BLOCK as u64);
         }
-        Self { blocks }
+        Self { entries, blocks }
     }
 
     /// Blocks in all.
@@ -71,10 +74,23 @@ impl IndexShape {
         self.blocks.get(height).copied().unwrap_or(0)
     }
 
-    /// The number of block `block` of `height` in the order of the file.
+    /// The number of block `block` of `height` in the order of the file, or `None` if there is no
+    /// such block.
     #[must_use]
-    pub fn position(&self, height: usize, block: u64) -> u64 {
-        self.blocks.iter().take(height).sum::<u64>() + block
+    pub fn position(&self, height: usize, block: u64) -> Option<u64> {
+        let below = self.blocks.iter().take(height).sum::<u64>();
+        (block < self.blocks_at(height)).then_some(below + block)
+    }
+
+    /// How many items block `block` of `height` holds: as many as fit, but for the last.
+    #[must_use]
+    pub fn items_in(&self, height: usize, block: u64) -> usize {
+        let (all, room) = match height.checked_sub(1) {
+            None => (self.entries, ENTRIES_PER_LEAF),
+            Some(below) => (self.blocks_at(below), CHILDREN_PER_BLOCK),
+        };
+        let before = block.saturating_mul(room as u64);
+        usize::try_from(all.saturating_sub(before)).unwrap_or(room).min(room)
     }
 }
 
@@ -146,16 +162,25 @@ pub struct Child {
 }
 
 impl Block {
-    /// Takes `bytes` as the block of `height` with the checksum `expected`, or `None` if they are
-    /// not.
+    /// Takes `bytes` as the block of archive `archive` that holds `items` items of `height` and has
+    /// the checksum `expected`, or `None` if they are not.
     #[must_use]
-    pub fn parse(bytes: Box<[u8]>, height: usize, expected: u64) -> Option<Self> {
+    pub fn parse(
+        bytes: Box<[u8]>,
+        archive: u64,
+        height: usize,
+        items: usize,
+        expected: u64,
+    ) -> Option<Self> {
+        let room = if height == 0 { ENTRIES_PER_LEAF } else { CHILDREN_PER_BLOCK };
         let whole = bytes.len() == BLOCK_LEN
             && checksum(&bytes) == expected
             && bytes.starts_with(&BLOCK_MAGIC)
-            && usize::try_from(u32_at(&bytes, HEIGHT_AT)) == Ok(height);
-        let room = if height == 0 { ENTRIES_PER_LEAF } else { CHILDREN_PER_BLOCK };
-        (whole && u32_at(&bytes, COUNT_AT) as usize <= room).then_some(Self(bytes))
+            && u64_at(&bytes, ARCHIVE_AT) == archive
+            && usize::try_from(u32_at(&bytes, HEIGHT_AT)) == Ok(height)
+            && usize::try_from(u32_at(&bytes, COUNT_AT)) == Ok(items)
+            && items <= room;
+        whole.then_some(Self(bytes))
     }
 
     fn count(&self) -> usize {
@@ -224,6 +249,10 @@ mod tests {
         assert_eq!((height(leaf * inner), height(leaf * inner + 1)), (Some(1), Some(2)));
         let shape = IndexShape::new(leaf * inner + 1);
         assert_eq!(shape.block_count(), inner + 1 + 2 + 1);
-        assert_eq!(shape.position(1, 1), inner + 2);
+        assert_eq!(shape.position(1, 1), Some(inner + 2));
+        assert_eq!((shape.position(1, 2), shape.position(3, 0)), (None, None));
+        assert_eq!((shape.items_in(0, 0), shape.items_in(0, inner)), (ENTRIES_PER_LEAF, 1));
+        assert_eq!((shape.items_in(1, 0), shape.items_in(1, 1)), (CHILDREN_PER_BLOCK, 1));
+        assert_eq!((shape.items_in(2, 0), shape.items_in(2, 1)), (2, 0));
     }
 }

@@ -21,6 +21,7 @@ const VERSION_AT: usize = 8;
 const DESCRIPTION_LEN_AT: usize = 12;
 const ARCHIVE_AT: usize = 16;
 const PREAMBLE_CHECKSUM_AT: usize = 56;
+const _: () = assert!(PREAMBLE_CHECKSUM_AT + size_of::<u64>() == PREAMBLE_LEN);
 
 /// How an archive starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,6 +80,7 @@ const SUMMARY_CHECKSUM_AT: usize = 72;
 const COPY_AT: usize = 80;
 const FILE_LEN_AT: usize = 88;
 const TRAILER_CHECKSUM_AT: usize = 120;
+const _: () = assert!(TRAILER_CHECKSUM_AT + size_of::<u64>() == TRAILER_LEN);
 
 /// How an archive ends: where its parts are, and the checksums that prove them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::ops::Range;
-use std::sync::{Arc, OnceLock, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 
 use super::description::{Description, Summary};
 use super::entry::{ConstantTexel, PageEntry, Payload, payload_checksum};
@@ -11,7 +11,7 @@ use super::index::{BLOCK_LEN, Block, CHILDREN_PER_BLOCK, IndexShape};
 use super::layout::{
     MAX_JSON_LEN, PREAMBLE_LEN, Preamble, TRAILER_LEN, Trailer, archive_id, summary_checksum,
 };
-use super::record::RECORD_HEAD_LEN;
+use super::record::{ALIGNMENT, RECORD_HEAD_LEN, record_len};
 use super::recover::{self, Recovered};
 use crate::address::{PageAddress, PageKey};
 use crate::codec;
@@ -33,14 +33,20 @@ pub struct Archive {
     source: Box<dyn ByteSource>,
     description: Description,
     archive: u64,
+    /// Bytes of preamble and description.
+    head_len: u64,
     records: Range<u64>,
     /// `None` if the trailer is damaged.
     tail: Option<Tail>,
     rebuilt: OnceLock<Recovered>,
+    /// Held by the one thread that walks the records.
+    walking: Mutex<()>,
 }
 
+/// What a whole trailer leads to.
 #[derive(Debug)]
-struct Tail {
+pub(super) struct Tail {
+    archive: u64,
     trailer: Trailer,
     shape: IndexShape,
     summary: Summary,
@@ -55,12 +61,17 @@ impl Archive {
     ///
     /// [`ArchiveError`] if neither end of it can be understood, or the medium fails.
     pub fn open(source: Box<dyn ByteSource>) -> Result<Self, ArchiveError> {
-        let trailer = read_trailer(source.as_ref());
+        let trailer = match read_trailer(source.as_ref()) {
+            Err(error @ ArchiveError::Read { .. }) => return Err(error),
+            trailer => trailer,
+        };
         let front = read_description(source.as_ref(), 0);
         let (preamble, description) = match (front, &trailer) {
             (Ok(front), _) => front,
-            // A version of another era is no damage.
-            (Err(error @ ArchiveError::Version { .. }), _) => return Err(error),
+            // A version of another era is no damage, and neither is a medium that fails.
+            (Err(error @ (ArchiveError::Version { .. } | ArchiveError::Read { .. })), _) => {
+                return Err(error);
+            }
             (Err(error), Err(_)) => return Err(error),
             (Err(error), Ok(trailer)) => {
                 read_description(source.as_ref(), trailer.copy).map_err(|_| error)?
@@ -68,17 +79,25 @@ impl Archive {
         };
         let archive = preamble.archive;
         let head_len = PREAMBLE_LEN as u64 + u64::from(preamble.description_len);
-        let records = head_len.next_multiple_of(super::record::ALIGNMENT);
+        let records = head_len.next_multiple_of(ALIGNMENT);
 
-        let tail = trailer.ok().and_then(|trailer| Tail::read(source.as_ref(), trailer, archive));
+        let tail = match trailer {
+            Ok(trailer) => {
+                let levels = usize::from(description.grid.pyramid().finest().0) + 1;
+                Tail::read(source.as_ref(), trailer, archive, head_len, levels)?
+            }
+            Err(_) => None,
+        };
         let end = tail.as_ref().map_or(source.len(), |tail| tail.trailer.index);
         Ok(Self {
             source,
             description,
             archive,
+            head_len,
             records: records..end.max(records),
             tail,
             rebuilt: OnceLock::new(),
+            walking: Mutex::new(()),
         })
     }
 
@@ -131,9 +150,10 @@ impl Archive {
         let key = PageKey::from(page);
         if let Some(tail) = self.tail.as_ref().filter(|_| self.rebuilt.get().is_none()) {
             match tail.find(self.source.as_ref(), key) {
-                Ok(entry) => return Ok(entry),
+                Ok(None) => return Ok(None),
+                Ok(Some(entry)) if self.check(&entry).is_ok() => return Ok(Some(entry)),
                 Err(error @ ArchiveError::Read { .. }) => return Err(error),
-                Err(_) => {}
+                Ok(Some(_)) | Err(_) => {}
             }
         }
         let entries = &self.rebuilt()?.entries;
@@ -153,7 +173,9 @@ impl Archive {
             let place = rebuilt.entries.binary_search_by_key(&key, |entry| entry.page.into());
             return Some(place.ok().map(|place| rebuilt.entries[place]));
         }
-        self.tail.as_ref()?.find_resident(key)
+        let found = self.tail.as_ref()?.find_resident(key)?;
+        // An entry that makes no sense sends the caller to `find`, and that to the records.
+        found.is_none_or(|entry| self.check(&entry).is_ok()).then_some(found)
     }
 
     /// All pages in the order of their keys.
@@ -163,7 +185,7 @@ impl Archive {
     /// [`ArchiveError::Read`] if the medium fails.
     pub fn entries(&self) -> Result<Vec<PageEntry>, ArchiveError> {
         if let Some(tail) = self.tail.as_ref().filter(|_| self.rebuilt.get().is_none()) {
-            match tail.entries(self.source.as_ref()) {
+            match self.entries_of(tail) {
                 Ok(entries) => return Ok(entries),
                 Err(error @ ArchiveError::Read { .. }) => return Err(error),
                 Err(_) => {}
@@ -218,17 +240,101 @@ impl Archive {
         decode_page(&self.description, entry, payload)
     }
 
-    /// The records as a walk finds them. The walk is done once.
+    /// The records as a walk finds them, without what no writer writes: pages that the grid does
+    /// not have, and all but the first record of a page. The walk is done once.
     ///
     /// # Errors
     ///
     /// [`ArchiveError::Read`] if the medium fails.
     pub fn rebuilt(&self) -> Result<&Recovered, ArchiveError> {
+        // A thread that panicked here left nothing half done.
+        let _walking = match self.rebuilt.get() {
+            Some(rebuilt) => return Ok(rebuilt),
+            None => self.walking.lock().unwrap_or_else(PoisonError::into_inner),
+        };
         if let Some(rebuilt) = self.rebuilt.get() {
             return Ok(rebuilt);
         }
-        let found = recover::scan(self.source.as_ref(), self.archive, self.records.clone())?;
+        let mut found = self.scan()?;
+        found.entries.retain(|entry| self.check(entry).is_ok());
+        found.entries.dedup_by_key(|entry| entry.page);
+        found.empty_runs.retain(|&(first, pages)| self.has_run(first, pages));
         Ok(self.rebuilt.get_or_init(|| found))
+    }
+
+    /// The records as a walk finds them, whatever they say.
+    pub(super) fn scan(&self) -> Result<Recovered, ArchiveError> {
+        recover::scan(self.source.as_ref(), self.archive, self.records.clone())
+    }
+
+    /// Refuses an entry that no writer writes.
+    pub(super) fn check(&self, entry: &PageEntry) -> Result<(), ArchiveError> {
+        let refuse = |reason| Err(ArchiveError::Entry { page: entry.page, reason });
+        if !self.description.grid.pyramid().contains(entry.page) {
+            return refuse("the grid has no such page");
+        }
+        if !entry.has_sound_figures() {
+            return refuse("its figures are out of range");
+        }
+        match entry.payload {
+            Payload::Record { offset, length, .. } => {
+                let length = record_len(u64::from(length));
+                let end = length.and_then(|length| offset.checked_add(length));
+                let lies_among_records = offset >= self.records.start
+                    && offset.is_multiple_of(ALIGNMENT)
+                    && end.is_some_and(|end| end <= self.records.end);
+                if !lies_among_records {
+                    return refuse("its record does not lie among the records");
+                }
+            }
+            Payload::Constant(ConstantTexel(texel)) => {
+                if self.description.kind == Kind::Height && !f32::from_le_bytes(texel).is_finite() {
+                    return refuse("its one height is not finite");
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether the grid has the pages of a run: at least its ends, and as many on their level.
+    pub(super) fn has_run(&self, first: PageKey, pages: u64) -> bool {
+        let pyramid = self.description.grid.pyramid();
+        let first_page = PageAddress::from(first);
+        let Some((rows, cols)) = pyramid.pages(first_page.level) else { return false };
+        let last = pages.checked_sub(1).and_then(|more| first.get().checked_add(more));
+        last.map(|last| PageAddress::from(PageKey::from_raw(last))).is_some_and(|last| {
+            last.level == first_page.level
+                && pyramid.contains(first_page)
+                && pyramid.contains(last)
+                && pages <= u64::from(rows) * u64::from(cols)
+        })
+    }
+
+    /// All entries straight from the index of `tail`: sound, in order, no page twice.
+    pub(super) fn entries_of(&self, tail: &Tail) -> Result<Vec<PageEntry>, ArchiveError> {
+        let entries = tail.entries(self.source.as_ref())?;
+        for entry in &entries {
+            self.check(entry)?;
+        }
+        if let Some(pair) = entries
+            .windows(2)
+            .find(|pair| PageKey::from(pair[0].page) >= PageKey::from(pair[1].page))
+        {
+            let reason = "the index is not in the order of keys";
+            return Err(ArchiveError::Entry { page: pair[1].page, reason });
+        }
+        Ok(entries)
+    }
+
+    /// The tail as it is on the medium now, without blocks read before.
+    pub(super) fn fresh_tail(&self) -> Result<Option<Tail>, ArchiveError> {
+        let trailer = match read_trailer(self.source.as_ref()) {
+            Err(error @ ArchiveError::Read { .. }) => return Err(error),
+            Err(_) => return Ok(None),
+            Ok(trailer) => trailer,
+        };
+        let levels = usize::from(self.description.grid.pyramid().finest().0) + 1;
+        Tail::read(self.source.as_ref(), trailer, self.archive, self.head_len, levels)
     }
 
     /// Everything in the archive that is not as it was written, in words; empty if all is well.
@@ -249,41 +355,59 @@ impl Archive {
         self.archive
     }
 
-    pub(super) fn trailer(&self) -> Option<&Trailer> {
-        self.tail.as_ref().map(|tail| &tail.trailer)
+    pub(super) fn head_len(&self) -> u64 {
+        self.head_len
     }
 
     pub(super) fn records(&self) -> Range<u64> {
         self.records.clone()
     }
-
-    /// All entries straight from the index.
-    pub(super) fn index_entries(&self) -> Option<Result<Vec<PageEntry>, ArchiveError>> {
-        self.tail.as_ref().map(|tail| tail.entries(self.source.as_ref()))
-    }
 }
 
 impl Tail {
-    /// What the trailer leads to, or `None` if it does not hold together.
-    fn read(source: &dyn ByteSource, trailer: Trailer, archive: u64) -> Option<Self> {
+    /// What the trailer leads to, or `None` if it does not hold together with a head of `head_len`
+    /// bytes and a pyramid of `levels` levels.
+    fn read(
+        source: &dyn ByteSource,
+        trailer: Trailer,
+        archive: u64,
+        head_len: u64,
+        levels: usize,
+    ) -> Result<Option<Self>, ArchiveError> {
         let shape = IndexShape::new(trailer.entries);
-        let index_len = shape.block_count().checked_mul(BLOCK_LEN as u64)?;
-        let ordered = trailer.archive == archive
-            && trailer.records <= trailer.index
-            && trailer.index.checked_add(index_len)? <= trailer.summary
-            && trailer.summary.checked_add(trailer.summary_len)? <= trailer.copy
-            && trailer.copy <= trailer.file_len
-            && trailer.summary_len <= MAX_JSON_LEN;
-        if !ordered {
-            return None;
+        let fits = trailer.archive == archive
+            && trailer.summary_len <= MAX_JSON_LEN
+            && parts_meet(&trailer, &shape, head_len).unwrap_or(false);
+        if !fits {
+            return Ok(None);
         }
-        let mut json = vec![0; usize::try_from(trailer.summary_len).ok()?];
-        source.read_exact_at(&mut json, trailer.summary).ok()?;
+        // No larger than the file, because the parts meet.
+        let mut json = vec![0; usize::try_from(trailer.summary_len).unwrap_or(0)];
+        source
+            .read_exact_at(&mut json, trailer.summary)
+            .map_err(|source| ArchiveError::Read { what: "the summary", source })?;
         if summary_checksum(&json) != trailer.summary_checksum {
-            return None;
+            return Ok(None);
         }
-        let summary = serde_json::from_slice(&json).ok()?;
-        Some(Self { trailer, shape, summary, blocks: RwLock::default() })
+        let summary: Option<Summary> = serde_json::from_slice(&json).ok();
+        let summary = summary.filter(|summary| summary.levels.len() == levels);
+        Ok(summary.map(|summary| Self {
+            archive,
+            trailer,
+            shape,
+            summary,
+            blocks: RwLock::default(),
+        }))
+    }
+
+    /// Where the index starts.
+    pub(super) fn index(&self) -> u64 {
+        self.trailer.index
+    }
+
+    /// Where the copy of preamble and description starts.
+    pub(super) fn copy(&self) -> u64 {
+        self.trailer.copy
     }
 
     fn find(
@@ -300,7 +424,8 @@ impl Tail {
     fn find_resident(&self, key: PageKey) -> Option<Option<PageEntry>> {
         let blocks = self.blocks.try_read().ok()?;
         let walk = self.descend(key, |height, number, _| {
-            Ok(blocks.get(&self.shape.position(height, number)).cloned())
+            let position = self.shape.position(height, number);
+            Ok(position.and_then(|position| blocks.get(&position)).cloned())
         });
         walk.ok().flatten()
     }
@@ -334,13 +459,12 @@ impl Tail {
         number: u64,
         sum: u64,
     ) -> Result<Arc<Block>, ArchiveError> {
-        let position = self.shape.position(height, number);
         let what = "a block of the index";
+        let Some(position) = self.shape.position(height, number) else {
+            return Err(ArchiveError::Checksum { what, offset: self.trailer.index });
+        };
         let offset = self.trailer.index + position * BLOCK_LEN as u64;
         let damaged = ArchiveError::Checksum { what, offset };
-        if number >= self.shape.blocks_at(height) {
-            return Err(damaged);
-        }
         // A thread that panicked here left a whole map behind: insertion is its only change.
         let held =
             self.blocks.read().unwrap_or_else(PoisonError::into_inner).get(&position).cloned();
@@ -351,7 +475,9 @@ impl Tail {
         source
             .read_exact_at(&mut bytes, offset)
             .map_err(|source| ArchiveError::Read { what, source })?;
-        let block = Arc::new(Block::parse(bytes, height, sum).ok_or(damaged)?);
+        let items = self.shape.items_in(height, number);
+        let block = Block::parse(bytes, self.archive, height, items, sum).ok_or(damaged)?;
+        let block = Arc::new(block);
         let mut blocks = self.blocks.write().unwrap_or_else(PoisonError::into_inner);
         Ok(Arc::clone(blocks.entry(position).or_insert(block)))
     }
@@ -385,6 +511,21 @@ impl Tail {
         }
         Ok(())
     }
+}
+
+/// Whether the parts that a trailer names follow one another without a gap up to the end of the
+/// file; `None` if an offset leaves `u64`.
+fn parts_meet(trailer: &Trailer, shape: &IndexShape, head_len: u64) -> Option<bool> {
+    let index_len = shape.block_count().checked_mul(BLOCK_LEN as u64)?;
+    let copy_end = trailer.copy.checked_add(head_len)?;
+    Some(
+        trailer.records == head_len.next_multiple_of(ALIGNMENT)
+            && trailer.records <= trailer.index
+            && trailer.index.is_multiple_of(ALIGNMENT)
+            && trailer.index.checked_add(index_len)? == trailer.summary
+            && trailer.summary.checked_add(trailer.summary_len)? == trailer.copy
+            && copy_end.checked_add(TRAILER_LEN as u64)? == trailer.file_len,
+    )
 }
 
 /// The texels of a page from its stored bytes.

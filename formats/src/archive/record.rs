@@ -28,6 +28,9 @@ const CONSTANTS_AT: usize = 40;
 const EMPTY_RUNS_AT: usize = 48;
 const BODY_CHECKSUM_AT: usize = 56;
 const HEAD_CHECKSUM_AT: usize = 96;
+const _: () = assert!(ENTRY_AT + ENTRY_LEN == HEAD_CHECKSUM_AT);
+const _: () = assert!(BODY_CHECKSUM_AT + size_of::<u64>() <= HEAD_CHECKSUM_AT);
+const _: () = assert!(HEAD_CHECKSUM_AT + size_of::<u64>() <= RECORD_HEAD_LEN);
 
 /// Bytes of one run of empty pages in a marker: first key u64, pages u64.
 const RUN_LEN: usize = 16;
@@ -108,6 +111,10 @@ impl Marker {
     ///
     /// [`ArchiveError::Checksum`] if the body is not the one the head promises. `offset` is where
     /// the record starts.
+    ///
+    /// # Panics
+    ///
+    /// Never: lists that the body's length holds fit `usize`.
     pub fn parse(head: MarkerHead, body: &[u8], offset: u64) -> Result<Self, ArchiveError> {
         if checksum(body) != head.body_checksum || body_len(head) != Some(body.len() as u64) {
             return Err(ArchiveError::Checksum { what: "the marker of a work unit", offset });

@@ -38,28 +38,25 @@ pub fn scan(
 ) -> Result<Recovered, ArchiveError> {
     let mut found = Recovered { end: range.start, ..Recovered::default() };
     let mut position = range.start;
-    while position.saturating_add(RECORD_HEAD_LEN as u64) <= range.end {
-        match record_at(source, archive, position, range.end)? {
-            Some((record, length)) => {
-                match record {
-                    Found::Page(entry) => found.entries.push(entry),
-                    Found::Marker(marker) => {
-                        found.units.push(marker.unit);
-                        found.entries.extend(marker.constants);
-                        found.empty_runs.extend(marker.empty_runs);
-                    }
-                }
-                position += length;
-                found.end = position;
-            }
-            None => {
-                match found.damaged.last_mut() {
-                    Some(last) if last.end == position => last.end += ALIGNMENT,
-                    _ => found.damaged.push(position..position + ALIGNMENT),
-                }
-                position += ALIGNMENT;
-            }
+    while position < range.end {
+        let (record, length) = record_at(source, archive, position, range.end)?;
+        let end = position.saturating_add(length).min(range.end);
+        if record.is_some() {
+            found.end = end;
         }
+        match record {
+            Some(Found::Page(entry)) => found.entries.push(entry),
+            Some(Found::Marker(marker)) => {
+                found.units.push(marker.unit);
+                found.entries.extend(marker.constants);
+                found.empty_runs.extend(marker.empty_runs);
+            }
+            None => match found.damaged.last_mut() {
+                Some(last) if last.end == position => last.end = end,
+                _ => found.damaged.push(position..end),
+            },
+        }
+        position = end;
     }
     found.entries.sort_by_key(|entry| PageKey::from(entry.page));
     Ok(found)
@@ -70,33 +67,39 @@ enum Found {
     Marker(Marker),
 }
 
-/// The record at `position` and its length with padding, if a whole one is there.
+/// The record at `position`, if a whole one is there, and how far it is to where the next may be.
 fn record_at(
     source: &dyn ByteSource,
     archive: u64,
     position: u64,
     end: u64,
-) -> Result<Option<(Found, u64)>, ArchiveError> {
+) -> Result<(Option<Found>, u64), ArchiveError> {
+    const NOTHING: (Option<Found>, u64) = (None, ALIGNMENT);
+    if end - position < RECORD_HEAD_LEN as u64 {
+        return Ok(NOTHING);
+    }
     let mut head = [0; RECORD_HEAD_LEN];
     read(source, &mut head, position)?;
-    let Some((record, body_len)) = parse_head(&head, archive) else { return Ok(None) };
+    let Some((record, body_len)) = parse_head(&head, archive) else { return Ok(NOTHING) };
     let Some(length) = record_len(body_len).filter(|length| *length <= end - position) else {
-        return Ok(None);
+        return Ok(NOTHING);
     };
-    let found = match record {
+    match record {
         RecordHead::Page(entry) => {
             let in_place = matches!(entry.payload, Payload::Record { offset, length, .. }
                 if offset == position && u64::from(length) == body_len);
-            in_place.then_some(Found::Page(entry))
+            Ok(if in_place { (Some(Found::Page(entry)), length) } else { NOTHING })
         }
         RecordHead::Marker(head) => {
             // No larger than the file, because the record fits it.
             let mut body = vec![0; usize::try_from(body_len).unwrap_or(0)];
             read(source, &mut body, position + RECORD_HEAD_LEN as u64)?;
-            Marker::parse(head, &body, position).ok().map(Found::Marker)
+            // A head that is whole is believed on the length of a body that is not. It is also
+            // what keeps the walk linear: no body is read twice.
+            let marker = Marker::parse(head, &body, position).ok().map(Found::Marker);
+            Ok((marker, length))
         }
-    };
-    Ok(found.map(|found| (found, length)))
+    }
 }
 
 fn read(source: &dyn ByteSource, buffer: &mut [u8], offset: u64) -> Result<(), ArchiveError> {

@@ -133,12 +133,16 @@ impl<W: Write> ArchiveWriter<W> {
         self.align()
     }
 
-    /// Adds index, summary and trailer, and gives the sink back, flushed but not synced.
+    /// Adds index, summary and trailer, and gives the sink back, flushed but not synced. Closes the
+    /// work unit if pages of it would be in no record otherwise.
     ///
     /// # Errors
     ///
     /// Those of the sink.
     pub fn finish(mut self) -> io::Result<(W, Written)> {
+        if !(self.constants.is_empty() && self.empty.is_empty()) {
+            self.end_unit()?;
+        }
         self.entries.sort_unstable_by_key(|entry| PageKey::from(entry.page));
         let (blocks, root_checksum) = index::build(&self.entries, self.archive);
         let index = self.position;
@@ -178,13 +182,11 @@ impl<W: Write> ArchiveWriter<W> {
 
     /// Pads with zeros to where the next record may start.
     fn align(&mut self) -> io::Result<()> {
+        #[expect(clippy::cast_possible_truncation, reason = "4096 fits any usize")]
         const ZEROS: [u8; ALIGNMENT as usize] = [0; ALIGNMENT as usize];
-        let over = self.position % ALIGNMENT;
-        if over != 0 {
-            #[expect(clippy::cast_possible_truncation, reason = "less than the alignment")]
-            self.write(&ZEROS[over as usize..])?;
-        }
-        Ok(())
+        let missing = self.position.next_multiple_of(ALIGNMENT) - self.position;
+        #[expect(clippy::cast_possible_truncation, reason = "less than the alignment")]
+        self.write(&ZEROS[..missing as usize])
     }
 }
 

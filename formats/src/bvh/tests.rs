@@ -66,8 +66,10 @@ fn ten_thousand_insertions_are_as_good_as_a_fresh_tree() {
     check_shape(&grown);
     check_shape(&built);
     let (grown, built) = (grown.cost(), built.cost());
-    println!("inserted {grown:.2} in {growing:?}, built {built:.2} in {building:?}");
-    assert!(grown < 1.15 * built, "inserted {grown}, built {built}");
+    assert!(
+        grown < 1.15 * built,
+        "inserted {grown:.2} in {growing:?}, built {built:.2} in {building:?}"
+    );
 }
 
 #[test]

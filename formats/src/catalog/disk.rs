@@ -19,31 +19,63 @@ pub trait Disk: Send + Sync {
     ///
     /// # Errors
     ///
-    /// Whatever the system reports, here and below.
+    /// Whatever the system reports.
     fn create_folders(&self, path: &Path) -> io::Result<()>;
 
     /// Opens a file for reading and writing, creating it if it is not there and keeping what is.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the system reports.
     fn open_or_create(&self, path: &Path) -> io::Result<File>;
 
     /// Empties an open file.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the system reports.
     fn truncate(&self, file: &File) -> io::Result<()>;
 
     /// Appends to an open file.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the system reports.
     fn append(&self, file: &mut File, bytes: &[u8]) -> io::Result<()>;
 
     /// Waits until the contents of a file are on the medium.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the system reports.
     fn sync_file(&self, file: &File) -> io::Result<()>;
 
     /// Waits until the names in a folder are on the medium.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the system reports.
     fn sync_folder(&self, path: &Path) -> io::Result<()>;
 
     /// Gives a file another name, replacing a file of that name.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the system reports.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
 
     /// Gives a file a second name, if that is not taken.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the system reports.
     fn link(&self, from: &Path, to: &Path) -> io::Result<()>;
 
     /// Removes a name.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the system reports.
     fn remove(&self, path: &Path) -> io::Result<()>;
 }
 

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::error::CatalogError;
+use super::publish::check_name;
 use crate::archive::Source;
 use crate::body::Body;
 use crate::page::Kind;
@@ -35,7 +36,8 @@ pub struct Manifest {
 pub struct DatasetRecord {
     /// Its name.
     pub name: String,
-    /// Its archive, a file in the catalog's `archives` folder.
+    /// Its archive, a file in the catalog's `archives` folder: [`DatasetRecord::file_of`] its name
+    /// and content.
     pub file: String,
     /// What its texels are.
     pub kind: Kind,
@@ -47,6 +49,24 @@ pub struct DatasetRecord {
     pub content: String,
     /// What it was made from.
     pub source: Source,
+}
+
+impl DatasetRecord {
+    /// The name of the archive that holds `content` of the dataset `name`.
+    #[must_use]
+    pub fn file_of(name: &str, content: &str) -> String {
+        format!("{name}-{content}.areoid")
+    }
+
+    /// Whether a writer would have written it: above all, whether its file is one in the folder
+    /// of archives and nowhere else.
+    fn is_sound(&self) -> bool {
+        let digits = |c: char| matches!(c, '0'..='9' | 'a'..='f');
+        check_name(&self.name).is_ok()
+            && self.content.len() == 16
+            && self.content.chars().all(digits)
+            && self.file == Self::file_of(&self.name, &self.content)
+    }
 }
 
 const MAGIC: &str = "areoid-manifest 1 ";
@@ -66,7 +86,8 @@ impl Manifest {
         bytes
     }
 
-    fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, CatalogError> {
+    /// Reads the manifest of `generation` from the bytes of the file at `path`.
+    fn from_bytes(bytes: &[u8], generation: u64, path: &Path) -> Result<Self, CatalogError> {
         let invalid =
             |reason: &str| CatalogError::Manifest { path: path.to_owned(), reason: reason.into() };
         let end = bytes.iter().position(|&byte| byte == b'\n').unwrap_or(bytes.len());
@@ -78,7 +99,21 @@ impl Manifest {
         if sum != format!("{:016x}", xxh3_64(json)).as_bytes() {
             return Err(invalid("its checksum does not match"));
         }
-        serde_json::from_slice(json).map_err(|error| invalid(&error.to_string()))
+        let manifest: Self =
+            serde_json::from_slice(json).map_err(|error| invalid(&error.to_string()))?;
+        if manifest.generation != generation {
+            return Err(invalid("its name says another generation"));
+        }
+        if let Some(record) = manifest.datasets.iter().find(|record| !record.is_sound()) {
+            return Err(invalid(&format!(
+                "no dataset {:?} has a file {:?}",
+                record.name, record.file
+            )));
+        }
+        if !manifest.datasets.is_sorted_by(|one, other| one.name < other.name) {
+            return Err(invalid("its datasets are not in the order of their names"));
+        }
+        Ok(manifest)
     }
 }
 
@@ -97,22 +132,45 @@ pub(super) fn generations(folder: &Path) -> Result<Vec<u64>, CatalogError> {
     let mut generations = Vec::new();
     for entry in listing {
         let name = entry.map_err(failed)?.file_name();
-        let number = name.to_str().and_then(|name| name.strip_prefix(PREFIX)?.parse::<u64>().ok());
-        generations.extend(number);
+        let Some(name) = name.to_str() else { continue };
+        let number = name.strip_prefix(PREFIX).and_then(|number| number.parse::<u64>().ok());
+        // `manifest.+7` and `manifest.07` are somebody's copies, not generation 7.
+        generations.extend(number.filter(|&generation| file_name(generation) == name));
     }
     Ok(generations)
 }
 
+/// How often a listing without a manifest, or with one that is gone, is made anew before it is
+/// believed. A folder may change while it is listed, so one listing can miss the new manifest as
+/// well as the old one; to do so time and again takes a writer each time.
+const LISTINGS: u32 = 16;
+
 /// The newest manifest in `folder`, or `None` if there is none.
 pub(super) fn newest(folder: &Path) -> Result<Option<Manifest>, CatalogError> {
+    let mut newest_seen = None;
+    let mut tries = 0;
     loop {
-        let Some(generation) = generations(folder)?.into_iter().max() else { return Ok(None) };
-        let path = folder.join(file_name(generation));
-        match fs::read(&path) {
-            Ok(bytes) => return Manifest::from_bytes(&bytes, &path).map(Some),
-            // A writer put a newer one in its place: look again.
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-            Err(error) => return Err(CatalogError::io("read", &path, error)),
+        let generation = generations(folder)?.into_iter().max();
+        let missing = match generation {
+            None => None,
+            Some(generation) => {
+                let path = folder.join(file_name(generation));
+                match fs::read(&path) {
+                    Ok(bytes) => return Manifest::from_bytes(&bytes, generation, &path).map(Some),
+                    // A writer put a newer one in its place: look again.
+                    Err(error) if error.kind() == io::ErrorKind::NotFound => Some((path, error)),
+                    Err(error) => return Err(CatalogError::io("read", &path, error)),
+                }
+            }
+        };
+        // A catalog that moves on is worth any number of looks.
+        tries = if generation > newest_seen { 0 } else { tries + 1 };
+        newest_seen = newest_seen.max(generation);
+        if tries == LISTINGS {
+            return match missing {
+                Some((path, error)) => Err(CatalogError::io("read", &path, error)),
+                None => Ok(None),
+            };
         }
     }
 }
@@ -126,12 +184,13 @@ mod tests {
         let manifest = Manifest::empty(Body::parse("mars").unwrap());
         let whole = manifest.to_bytes();
         let path = Path::new("manifest.0");
-        assert_eq!(Manifest::from_bytes(&whole, path).unwrap(), manifest);
+        assert_eq!(Manifest::from_bytes(&whole, 0, path).unwrap(), manifest);
+        assert!(Manifest::from_bytes(&whole, 1, path).is_err());
         for at in 0..whole.len() {
             let mut damaged = whole.clone();
             damaged[at] ^= 1;
-            assert!(Manifest::from_bytes(&damaged, path).is_err(), "byte {at}");
-            assert!(Manifest::from_bytes(&whole[..at], path).is_err(), "{at} bytes");
+            assert!(Manifest::from_bytes(&damaged, 0, path).is_err(), "byte {at}");
+            assert!(Manifest::from_bytes(&whole[..at], 0, path).is_err(), "{at} bytes");
         }
     }
 }

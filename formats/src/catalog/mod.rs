@@ -1,19 +1,8 @@
 //! A catalog: a folder of archives, and the manifest that says which of them count.
 //!
-//! ```text
-//!   DIR/manifest.7                        the datasets of generation 7
-//!   DIR/archives/mola-5f0c…e1.areoid      named by dataset and content: never overwritten
-//!   DIR/build/viking.part                 an unfinished build, locked by its builder
-//!   DIR/catalog.lock                      held while a change is published
-//! ```
-//!
-//! # How a change is published
-//!
-//! The archive is synced, renamed into place and its folder synced; the manifest of the next
-//! generation is written under a temporary name, synced, and *linked* to its own: the link is the
-//! one step that makes the change, and it fails if another writer made that generation first.
-//! Then the folder is synced and what no manifest names any more is removed. A process killed at
-//! any instant leaves the old generation or the new one.
+//! `FORMAT.md`, which documents [`archive`](crate::archive), has the folder's layout, the manifest and
+//! the steps of a change. The one step that makes it is the link of the new manifest: a process
+//! killed at any instant leaves the old generation or the new one.
 //!
 //! Readers take no lock. A reader that misses a file has an old manifest and reads the newest.
 

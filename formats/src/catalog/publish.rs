@@ -55,10 +55,8 @@ impl<'a> Build<'a> {
     /// [`CatalogError::Name`], [`CatalogError::Busy`], or [`CatalogError::Io`].
     pub fn start(disk: &'a dyn Disk, folder: &Path, name: &str) -> Result<Self, CatalogError> {
         check_name(name)?;
-        for folder in [folder.join(BUILDS), folder.join(ARCHIVES)] {
-            disk.create_folders(&folder)
-                .map_err(|source| CatalogError::io("create", &folder, source))?;
-        }
+        create_folders(disk, &folder.join(BUILDS))?;
+        create_folders(disk, &folder.join(ARCHIVES))?;
         let path = folder.join(BUILDS).join(format!("{name}.part"));
         let failed = |action| move |path: &Path, source| CatalogError::io(action, path, source);
         let file = disk.open_or_create(&path).map_err(|error| failed("create")(&path, error))?;
@@ -111,15 +109,17 @@ impl Write for Build<'_> {
 ///
 /// # Errors
 ///
-/// [`CatalogError`]; the catalog then is as it was, or, if only the sweeping failed, has the
-/// dataset.
+/// [`CatalogError`]; the catalog then is as it was, or has the dataset if what failed came after
+/// the link: making it durable, or sweeping.
 pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, CatalogError> {
     let Build { disk, folder, path, file } = build;
     disk.sync_file(&file).map_err(|source| CatalogError::io("sync", &path, source))?;
-    let name = format!("{}-{:016x}.areoid", dataset.name, dataset.content);
+    let content = format!("{:016x}", dataset.content);
+    let name = DatasetRecord::file_of(&dataset.name, &content);
     let archives = folder.join(ARCHIVES);
     let target = archives.join(&name);
 
+    let mut in_place = false;
     change(disk, &folder, |newest| {
         let mut manifest = newest.unwrap_or_else(|| Manifest::empty(dataset.body.clone()));
         if manifest.datasets.is_empty() {
@@ -132,11 +132,12 @@ pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, Catal
             });
         }
         // A second try after a lost race finds the file in place.
-        if path.exists() {
+        if !in_place {
             disk.rename(&path, &target)
                 .map_err(|source| CatalogError::io("rename", &path, source))?;
             disk.sync_folder(&archives)
                 .map_err(|source| CatalogError::io("sync", &archives, source))?;
+            in_place = true;
         }
         manifest.datasets.retain(|record| record.name != dataset.name);
         manifest.datasets.push(DatasetRecord {
@@ -145,7 +146,7 @@ pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, Catal
             kind: dataset.kind,
             priority: dataset.priority,
             bytes: dataset.bytes,
-            content: format!("{:016x}", dataset.content),
+            content: content.clone(),
             source: dataset.source.clone(),
         });
         manifest.datasets.sort_by(|one, other| one.name.cmp(&other.name));
@@ -174,6 +175,18 @@ pub fn remove_dataset(disk: &dyn Disk, folder: &Path, name: &str) -> Result<u64,
     })
 }
 
+/// Creates `path` and the folders above it that are not there, durably: a new folder's name is
+/// synced in the folder above it.
+fn create_folders(disk: &dyn Disk, path: &Path) -> Result<(), CatalogError> {
+    let missing: Vec<&Path> = path.ancestors().take_while(|folder| !folder.is_dir()).collect();
+    disk.create_folders(path).map_err(|source| CatalogError::io("create", path, source))?;
+    for parent in missing.into_iter().filter_map(Path::parent) {
+        let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
+        disk.sync_folder(parent).map_err(|source| CatalogError::io("sync", parent, source))?;
+    }
+    Ok(())
+}
+
 /// Publishes the generation that `step` makes of the newest one.
 fn change(
     disk: &dyn Disk,
@@ -187,7 +200,11 @@ fn change(
         .map_err(|source| CatalogError::io("lock", &lock_path, source))?;
     loop {
         let newest = manifest::newest(folder)?;
-        let generation = newest.as_ref().map_or(1, |manifest| manifest.generation + 1);
+        let before = newest.as_ref().map_or(0, |manifest| manifest.generation);
+        let generation = before.checked_add(1).ok_or_else(|| {
+            let path = folder.join(manifest::file_name(before));
+            CatalogError::Manifest { path, reason: "no generation can follow it".to_owned() }
+        })?;
         let manifest = Manifest { generation, ..step(newest)? };
         if link_manifest(disk, folder, &manifest)? {
             sweep(disk, folder, &manifest)?;
@@ -269,7 +286,7 @@ fn same_file(_file: &File, path: &Path) -> bool {
 }
 
 /// Refuses names that are not plain file names on every system.
-fn check_name(name: &str) -> Result<(), CatalogError> {
+pub(super) fn check_name(name: &str) -> Result<(), CatalogError> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     let plain = (1..=100).contains(&name.len())
         && name.chars().all(allowed)
