@@ -159,3 +159,20 @@ proptest! {
         }
     }
 }
+
+/// Law 1 was broken here: a quarter of a cell beside a missing tap of the level between was held
+/// against the finest texels at its corner alone, where fewer taps weigh than inside.
+#[test]
+fn a_missing_tap_between_two_levels_breaks_no_bound() {
+    let recipe = Recipe {
+        place: Place::Belt,
+        size: (50, 64),
+        step: None,
+        page_side: 8,
+        relief: Relief::Coarse(2),
+        holes: Holes::Coarse(1),
+        seed: 3_205_179_033_394_929_033,
+    };
+    let raster = recipe.raster().unwrap();
+    assert_lawful(&raster.archive(recipe.page_side), &raster);
+}
