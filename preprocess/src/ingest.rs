@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use areoid_formats::archive::{Archive, Description, Source, SourceFile, Summary};
+use areoid_formats::archive::{Archive, Description, Source, SourceFile, Summary, Written};
 use areoid_formats::body::Body;
 use areoid_formats::catalog::{
     Build, Catalog, CatalogError, Disk, NewDataset, publish_build,
@@ -176,24 +176,16 @@ pub fn ingest(
         return Ok(outcome);
     }
 
-    let build = Build::start(disk, &request.catalog, &description.dataset)?;
-    let threads = rayon::ThreadPoolBuilder::new()
-        .num_threads(request.threads.unwrap_or(0))
-        .build()
-        .map_err(|error| IngestError::Threads(error.to_string()))?;
-    let sink = BufWriter::with_capacity(1 << 20, build);
-    let built = threads.install(|| build::build(&description, &mosaic, sink, watch));
-    let (sink, written) = match built {
-        Ok(built) => built,
-        Err(source) => {
-            let dataset = description.dataset;
-            return Err(IngestError::Build { dataset, source: Box::new(source) });
+    let mut build = Build::start(disk, &request.catalog, &description.dataset)?;
+    let written = match write(request, &description, &mosaic, &mut build, watch) {
+        Ok(written) => written,
+        Err(error) => {
+            // What cannot be removed either is swept by the next build of this name; the first
+            // error says more.
+            let _ = build.discard();
+            return Err(error);
         }
     };
-    let build = sink.into_inner().map_err(|error| IngestError::Build {
-        dataset: description.dataset.clone(),
-        source: Box::new(BuildError::Write(error.into_error())),
-    })?;
     outcome.generation = publish_build(
         build,
         NewDataset {
@@ -210,6 +202,29 @@ pub fn ingest(
     outcome.decoded_blocks = mosaic.decoded_blocks();
     outcome.seconds = start.elapsed().as_secs_f64();
     Ok(outcome)
+}
+
+/// Builds the archive in `build`, on threads of its own.
+fn write(
+    request: &Request,
+    description: &Description,
+    mosaic: &Mosaic,
+    build: &mut Build<'_>,
+    watch: impl FnMut(Progress) -> Proceed + Send,
+) -> Result<Written, IngestError> {
+    let failed = |source| IngestError::Build {
+        dataset: description.dataset.clone(),
+        source: Box::new(source),
+    };
+    let threads = rayon::ThreadPoolBuilder::new()
+        .num_threads(request.threads.unwrap_or(0))
+        .build()
+        .map_err(|error| IngestError::Threads(error.to_string()))?;
+    let sink = BufWriter::with_capacity(1 << 20, build);
+    let (sink, written) =
+        threads.install(|| build::build(description, mosaic, sink, watch)).map_err(failed)?;
+    sink.into_inner().map_err(|error| failed(BuildError::Write(error.into_error())))?;
+    Ok(written)
 }
 
 /// What the catalog has under the name of `description`, if that is the same dataset.

@@ -71,7 +71,9 @@ pub enum ArchiveError {
     },
 
     /// A page's payload does not match its checksum.
-    #[error("page {page} is damaged: its checksum is {found:#018x}, the index says {expected:#018x}")]
+    #[error(
+        "page {page} is damaged: its checksum is {found:#018x}, the index says {expected:#018x}"
+    )]
     PageChecksum {
         /// The damaged page.
         page: PageAddress,

@@ -66,11 +66,7 @@ impl Preamble {
 }
 
 fn check_version(found: u32) -> Result<(), ArchiveError> {
-    if found == VERSION {
-        Ok(())
-    } else {
-        Err(ArchiveError::Version { found, supported: VERSION })
-    }
+    if found == VERSION { Ok(()) } else { Err(ArchiveError::Version { found, supported: VERSION }) }
 }
 
 const RECORDS_AT: usize = 24;

@@ -286,7 +286,11 @@ impl Tail {
         Some(Self { trailer, shape, summary, blocks: RwLock::default() })
     }
 
-    fn find(&self, source: &dyn ByteSource, key: PageKey) -> Result<Option<PageEntry>, ArchiveError> {
+    fn find(
+        &self,
+        source: &dyn ByteSource,
+        key: PageKey,
+    ) -> Result<Option<PageEntry>, ArchiveError> {
         let walk = self.descend(key, |height, number, sum| {
             self.block(source, height, number, sum).map(Some)
         })?;
@@ -338,7 +342,8 @@ impl Tail {
             return Err(damaged);
         }
         // A thread that panicked here left a whole map behind: insertion is its only change.
-        let held = self.blocks.read().unwrap_or_else(PoisonError::into_inner).get(&position).cloned();
+        let held =
+            self.blocks.read().unwrap_or_else(PoisonError::into_inner).get(&position).cloned();
         if let Some(block) = held {
             return Ok(block);
         }
@@ -422,7 +427,9 @@ fn read_trailer(source: &dyn ByteSource) -> Result<Trailer, ArchiveError> {
         return Err(ArchiveError::Truncated { what, start: 0, end: TRAILER_LEN as u64, len });
     };
     let mut bytes = [0; TRAILER_LEN];
-    source.read_exact_at(&mut bytes, start).map_err(|source| ArchiveError::Read { what, source })?;
+    source
+        .read_exact_at(&mut bytes, start)
+        .map_err(|source| ArchiveError::Read { what, source })?;
     Trailer::parse(&bytes, len)
 }
 

@@ -2,11 +2,9 @@
 
 use std::ops::Range;
 
-use super::error::ArchiveError;
-use super::record::{
-    ALIGNMENT, Marker, RECORD_HEAD_LEN, RecordHead, parse_head, record_len,
-};
 use super::entry::{PageEntry, Payload};
+use super::error::ArchiveError;
+use super::record::{ALIGNMENT, Marker, RECORD_HEAD_LEN, RecordHead, parse_head, record_len};
 use crate::address::PageKey;
 use crate::storage::ByteSource;
 

@@ -53,10 +53,8 @@ impl<W: Write> ArchiveWriter<W> {
         let archive = archive_id(&json);
         let mut head = Preamble { description_len, archive }.to_bytes().to_vec();
         head.extend_from_slice(&json);
-        let levels = vec![
-            LevelSummary::default();
-            usize::from(description.grid.pyramid().finest().0) + 1
-        ];
+        let levels =
+            vec![LevelSummary::default(); usize::from(description.grid.pyramid().finest().0) + 1];
         let mut writer = Self {
             sink,
             position: 0,

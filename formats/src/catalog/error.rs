@@ -35,14 +35,18 @@ pub enum CatalogError {
     },
 
     /// A dataset that is there already.
-    #[error("a dataset called {name} is there already, made from something else: --force replaces it")]
+    #[error(
+        "a dataset called {name} is there already, made from something else: --force replaces it"
+    )]
     Exists {
         /// Its name.
         name: String,
     },
 
     /// A name that cannot be a dataset's.
-    #[error("{name:?} cannot name a dataset: use 1 to 100 letters, digits, '-', '_' and '.', starting with a letter or digit")]
+    #[error(
+        "{name:?} cannot name a dataset: use 1 to 100 letters, digits, '-', '_' and '.', starting with a letter or digit"
+    )]
     Name {
         /// The name given.
         name: String,

@@ -1,0 +1,168 @@
+//! A dataset's map as the shaders see it: one dataset's constants, and anchors in its texels.
+//!
+//! The shaders know a map only by differences from an anchor (`shader/map.wgsl`); here stands the
+//! large part, in f64: where the anchor lies in the finest level, and the factors that turn the
+//! differences into texels.
+
+use areoid_cache::DatasetInfo;
+use areoid_formats::body::Ellipsoid;
+use areoid_formats::geodesy::{Geographic, LatitudeKind, geographic_from_normal};
+use areoid_formats::projection::{Crs, Pole, Projection};
+use areoid_formats::units::Radians;
+use glam::DMat3;
+
+use crate::mirror;
+
+/// The anchor of a frame that a map does not reach.
+pub(crate) const ABSENT: mirror::Anchor =
+    mirror::Anchor { texel: [i32::MIN; 2], fraction: [0.0; 2], matrix: [0.0; 4] };
+
+/// Anchors farther than this from the outline count as absent: a 32-bit texel must not overflow.
+const MOST_TEXELS: f64 = 1e9;
+
+/// How the differences of a map become texels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Factors {
+    /// Texels to a radian of longitude and of latitude.
+    Equirectangular([f64; 2]),
+    Polar {
+        pole: Pole,
+        central_meridian: f64,
+        /// Texels to a unit of τ E(τ).
+        radius: [f64; 2],
+    },
+}
+
+/// The constants of one dataset's map.
+#[derive(Clone, Debug)]
+pub(crate) struct DatasetMap {
+    info: DatasetInfo,
+    factors: Factors,
+    /// (b / a)² where the map's latitudes are planetocentric, or 1.
+    latitude_ratio: f64,
+}
+
+impl DatasetMap {
+    pub(crate) fn new(info: &DatasetInfo) -> Self {
+        let crs = info.grid.crs();
+        let [pixel_x, pixel_y] = info.grid.pixel_size();
+        let centric = crs.latitudes == LatitudeKind::Planetocentric && !crs.body.is_sphere();
+        let latitude_ratio = if centric { (crs.body.b().0 / crs.body.a().0).powi(2) } else { 1.0 };
+        let factors = match &crs.projection {
+            Projection::PolarStereographic(map) => {
+                let radius = radius_at_pole(crs, map.pole, map.central_meridian);
+                Factors::Polar {
+                    pole: map.pole,
+                    central_meridian: map.central_meridian.0,
+                    radius: [radius / pixel_x, radius / pixel_y],
+                }
+            }
+            Projection::Geographic | Projection::Equirectangular(_) => {
+                let turn = crs.wraps_with_period().expect("the map is cylindrical");
+                let y = |pole| crs.y_of_pole(pole).expect("the map is cylindrical");
+                let half_turn = y(Pole::North) - y(Pole::South);
+                Factors::Equirectangular([
+                    turn / std::f64::consts::TAU / pixel_x,
+                    half_turn / std::f64::consts::PI / pixel_y,
+                ])
+            }
+        };
+        Self { info: info.clone(), factors, latitude_ratio }
+    }
+
+    /// The constants for the shaders. The windows of the page table start at `first_window`, and
+    /// datasets of the same `rank` are blended.
+    #[expect(clippy::cast_possible_truncation, reason = "sizes and ratios; no place on the planet")]
+    pub(crate) fn mirrored(&self, first_window: i32, rank: i32) -> mirror::Dataset {
+        let (crs, pyramid) = (self.info.grid.crs(), self.info.grid.pyramid());
+        let extent = pyramid.extent();
+        let body = &crs.body;
+        let (polar, hemisphere, per_unit) = match self.factors {
+            Factors::Equirectangular(texels) => (0, 0.0, texels),
+            Factors::Polar { pole, radius, .. } => (1, pole.sign(), radius),
+        };
+        let meridian = body.a().0 * (1.0 - body.eccentricity_squared());
+        let period = match self.factors {
+            Factors::Equirectangular([texels, _]) => texels * std::f64::consts::TAU,
+            Factors::Polar { .. } => 0.0,
+        };
+        let narrow = |size: u32| i32::try_from(size).unwrap_or(i32::MAX);
+        mirror::Dataset {
+            size: [narrow(extent.width), narrow(extent.height)],
+            interior: narrow(pyramid.interior()),
+            levels: i32::from(pyramid.finest().0) + 1,
+            first_window,
+            priority: rank,
+            polar,
+            wraps: i32::from(extent.wraps),
+            period: period as f32,
+            latitude_ratio: self.latitude_ratio as f32,
+            hemisphere: hemisphere as f32,
+            eccentricity: crs.ellipsoid.eccentricity_squared().sqrt() as f32,
+            ground: [(body.a().0 / per_unit[0]) as f32, (meridian / per_unit[1]) as f32],
+            _pad: [0; 2],
+        }
+    }
+
+    /// The anchor of a frame with these axes.
+    #[expect(clippy::cast_possible_truncation, reason = "whole texels, and fractions of one")]
+    pub(crate) fn anchor(&self, axes: &DMat3) -> mirror::Anchor {
+        let up = axes.z_axis;
+        let grid = &self.info.grid;
+        let Some(point) = grid.crs().project(geographic_from_normal(up)) else { return ABSENT };
+        let place = grid.texel_from_map(grid.pyramid().finest(), point);
+        if !(place.x.abs() < MOST_TEXELS && place.y.abs() < MOST_TEXELS) {
+            return ABSENT;
+        }
+        let (left, top) = (place.x.floor(), place.y.floor());
+        let matrix = match self.factors {
+            Factors::Equirectangular([x, y]) => [x, 0.0, 0.0, -y],
+            Factors::Polar { pole, central_meridian, radius: [x, y] } => {
+                // East is (-sin λ, cos λ, 0) also on the axis.
+                let longitude = (-axes.x_axis.x).atan2(axes.x_axis.y);
+                let (sine, cosine) = (longitude - central_meridian).sin_cos();
+                let stretch = self.conformal_factor(pole, up.z);
+                let sign = pole.sign();
+                let (x, y) = (x * stretch, sign * y * stretch);
+                [x * sine, x * cosine, y * cosine, -y * sine]
+            }
+        };
+        mirror::Anchor {
+            texel: [left as i32, top as i32],
+            fraction: [(place.x - left) as f32, (place.y - top) as f32],
+            matrix: matrix.map(|factor| factor as f32),
+        }
+    }
+
+    /// E(τ), 1 at the pole, at a normal of height `z` over the equator.
+    fn conformal_factor(&self, pole: Pole, z: f64) -> f64 {
+        let centric_z = self.latitude_ratio * z;
+        let length = ((1.0 - z * z) + centric_z * centric_z).sqrt();
+        conformal_factor(&self.info.grid.crs().ellipsoid, pole.sign() * centric_z / length)
+    }
+}
+
+/// exp(e artanh(e s) - e artanh(e)), with s the sine of the latitude counted toward the pole.
+fn conformal_factor(ellipsoid: &Ellipsoid, s: f64) -> f64 {
+    let e = ellipsoid.eccentricity_squared().sqrt();
+    (e * ((e * s).atanh() - e.atanh())).exp()
+}
+
+/// Map units from the pole to a unit of τ E(τ), measured halfway down to the equator.
+fn radius_at_pole(crs: &Crs, pole: Pole, central_meridian: Radians) -> f64 {
+    let place = |latitude: f64| {
+        let position = Geographic { longitude: central_meridian, latitude: Radians(latitude) };
+        crs.project(position).expect("half a hemisphere is inside the map")
+    };
+    let latitude = pole.sign() * std::f64::consts::FRAC_PI_4;
+    let on_map = if crs.latitudes == LatitudeKind::Planetocentric {
+        crs.body.planetocentric_from_planetographic(Radians(latitude))
+    } else {
+        Radians(latitude)
+    };
+    let (at_pole, below) = (place(pole.sign() * std::f64::consts::FRAC_PI_2), place(latitude));
+    let distance = (below.x - at_pole.x).hypot(below.y - at_pole.y);
+    let s = pole.sign() * on_map.0.sin();
+    let tau = (0.5 * (std::f64::consts::FRAC_PI_2 - s.asin())).tan();
+    distance / (tau * conformal_factor(&crs.ellipsoid, s))
+}

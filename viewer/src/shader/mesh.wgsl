@@ -1,0 +1,129 @@
+// mesh.wgsl - vertices of the patches, and what the deferred buffer keeps of them.
+//
+// A vertex inside a patch is computed from the patch's frame. A vertex on a side is computed from
+// the edge, of which both neighbors have the same one: a frame at its middle, the chord's direction
+// there, and a whole number along it. At its ends and its middle the corners' own frames count, so
+// that a finer neighbor's corner is this edge's middle to the bit.
+//
+//   start        middle        end
+//     +---+---+---+---+---+---+---+       own numbers 0 .. SEGMENTS
+//     first .............. last           a side runs over all of the edge, or one half of it, in
+//                                         either direction; on a half, odd vertices fall on even
+//
+// Mirrored   struct Edge, struct Patch <-> viewer/src/mirror.rs, made by mesh/patches.rs
+// After      P-BDAM §4.2: what belongs to an edge depends on its corners and the eye alone
+
+struct Edge {
+    // Frames of its start, middle and end.
+    frames: vec3u,
+    // Half the length of the chord, on the unit sphere.
+    half_chord: f32,
+    // East and north of the middle's frame, from start to end.
+    direction: vec2f,
+    // From the center to the chord.
+    distance: f32,
+    pad: u32,
+}
+
+struct Patch {
+    // The corners relative to the plane's point under the frame, in the frame's axes.
+    corner_a: vec3f,
+    frame: u32,
+    corner_b: vec3f,
+    // Four bits a side: first + 4 last, in halves of the edge.
+    sides: u32,
+    corner_c: vec3f,
+    // From the center to the corners' plane, along the frame's normal.
+    distance: f32,
+    edges: vec3u,
+    pad: u32,
+}
+
+@group(0) @binding(5) var<storage, read> edges: array<Edge>;
+@group(0) @binding(6) var<storage, read> patches: array<Patch>;
+
+override SEGMENTS: i32 = 16;
+
+// A place: an offset from a frame.
+struct Place {
+    frame: u32,
+    d: vec3f,
+}
+
+fn place_on_edge(edge: Edge, own: i32) -> Place {
+    if own == 0 {
+        return Place(edge.frames.x, vec3f(0.0));
+    }
+    if own == SEGMENTS {
+        return Place(edge.frames.z, vec3f(0.0));
+    }
+    if 2 * own == SEGMENTS {
+        return Place(edge.frames.y, vec3f(0.0));
+    }
+    let along = edge.half_chord * (f32(2 * own - SEGMENTS) / f32(SEGMENTS));
+    return Place(edge.frames.y, offset_from_chord(edge.distance, vec3f(edge.direction * along, 0.0)));
+}
+
+fn place_in_patch(part: Patch, weights: vec2f) -> Place {
+    let s = part.corner_a + weights.x * (part.corner_b - part.corner_a) + weights.y * (part.corner_c - part.corner_a);
+    return Place(part.frame, offset_from_chord(part.distance, s));
+}
+
+struct Vertex {
+    @builtin(position) clip: vec4f,
+    // Weights of the corners b and c.
+    @location(0) weights: vec2f,
+    @location(1) @interpolate(flat) patch_index: u32,
+}
+
+// steps: segments from corner a toward b and toward c.
+@vertex
+fn vertex(@location(0) steps: vec2i, @builtin(instance_index) patch_index: u32) -> Vertex {
+    let part = patches[patch_index];
+    // The side from b to c, from c to a, from a to b; and the steps along it.
+    var side = -1;
+    var step = 0;
+    if steps.y == 0 {
+        side = 0;
+        step = steps.x;
+    } else if steps.x + steps.y == SEGMENTS {
+        side = 1;
+        step = steps.y;
+    } else if steps.x == 0 {
+        side = 2;
+        step = SEGMENTS - steps.y;
+    }
+
+    var weights = vec2f(steps) / f32(SEGMENTS);
+    var place = Place(0u, vec3f(0.0));
+    if side < 0 {
+        place = place_in_patch(part, weights);
+    } else {
+        let ends = (part.sides >> u32(4 * side)) & 0xfu;
+        let first = i32(ends & 3u);
+        let last = i32(ends >> 2u);
+        if abs(last - first) == 1 {
+            // Odd vertices fall on the one before them.
+            step -= step & 1;
+            let share = f32(step) / f32(SEGMENTS);
+            weights = select(
+                select(vec2f(0.0, 1.0 - share), vec2f(1.0 - share, share), side == 1),
+                vec2f(share, 0.0),
+                side == 0,
+            );
+        }
+        let own = (first * SEGMENTS + (last - first) * step) / 2;
+        place = place_on_edge(edges[part.edges[side]], own);
+    }
+
+    let frame = frames[place.frame];
+    let footprint_m = length(position_at(frame, place.d, frame.height)) * scene.pixel_angle;
+    let height = height_at(place.frame, place.d, footprint_m);
+    return Vertex(clip_from_eye(position_at(frame, place.d, height)), weights, patch_index);
+}
+
+// Patch number plus 1, and the weights' bits: no place on the planet is rounded.
+@fragment
+fn fragment(in: Vertex) -> @location(0) vec4u {
+    return vec4u(in.patch_index + 1u, bitcast<u32>(in.weights.x), bitcast<u32>(in.weights.y), 0u);
+}
