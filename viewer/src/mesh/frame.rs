@@ -19,6 +19,8 @@ pub(crate) struct Frame {
     pub(crate) axes: DMat3,
     /// Roughly the height of the terrain; an `f32`, so that the shaders subtract the same number.
     pub(crate) height_m: f32,
+    /// How far from it places are told by it, as a chord.
+    pub(crate) reach: f64,
 }
 
 /// The point of the surface whose normal is `normal`, a unit vector: `(a² x, a² y, b² z) / w`.
@@ -47,7 +49,7 @@ impl Frame {
     /// The frame at a unit normal.
     pub(crate) fn new(ellipsoid: &Ellipsoid, normal: DVec3, height_m: f32) -> Self {
         let origin = reference_point(ellipsoid, normal) + f64::from(height_m) * normal;
-        Self { origin, axes: axes_at(normal), height_m }
+        Self { origin, axes: axes_at(normal), height_m, reach: 0.0 }
     }
 
     /// The frame for the shaders of one view.

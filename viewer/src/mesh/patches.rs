@@ -17,6 +17,9 @@ use crate::surface::Surface;
 
 const NONE: u32 = u32::MAX;
 
+/// Slopes are taken from places so far outside a patch, as a chord, besides its own size.
+const SLOPE_REACH: f64 = 0.01;
+
 /// The geometry of one view. The buffers are kept from view to view.
 #[derive(Debug, Default)]
 pub(crate) struct Mesh {
@@ -64,7 +67,8 @@ impl Mesh {
         self.anchors.clear();
         for frame in &self.frames {
             self.mirrored_frames.push(frame.seen_from(view.eye));
-            self.anchors.extend(maps.iter().map(|map| map.anchor(&frame.axes)));
+            let anchors = maps.iter().map(|map| map.anchor(&frame.axes, frame.reach + SLOPE_REACH));
+            self.anchors.extend(anchors);
         }
     }
 
@@ -86,6 +90,8 @@ impl Mesh {
         let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
         let normal = middle.normalize();
         let frame = self.add_frame(Frame::new(&ellipsoid, normal, height_m(normal)));
+        let reach = corners.iter().map(|corner| corner.distance(normal)).fold(0.0, f64::max);
+        self.frames[frame as usize].reach = 2.0 * reach;
         let axes = self.frames[frame as usize].axes;
         let [corner_a, corner_b, corner_c] =
             corners.map(|corner| (axes.transpose() * (corner - middle)).as_vec3().to_array());
@@ -128,7 +134,9 @@ impl Mesh {
         });
         let [start, end] = [edge.start, edge.end].map(|i| tree.corners()[i as usize]);
         let chord = end - start;
-        let axes = self.frames[frames[1] as usize].axes;
+        let middle = &mut self.frames[frames[1] as usize];
+        middle.reach = middle.reach.max(chord.length());
+        let axes = middle.axes;
         let direction = (axes.transpose() * chord).truncate().normalize();
         let half_chord = 0.5 * chord.length();
         self.edges.push(mirror::Edge {

@@ -38,7 +38,9 @@ fn read_levels(dataset: Dataset, point: MapPoint, wanted: f32, color: bool) -> A
     let upper = i32(ceil(wanted));
     let toward_coarse = f32(upper) - wanted;
     var fine = read_page(dataset, point, upper, color);
-    if toward_coarse > 0.0 {
+    // A page that is coarser than asked stands in for both levels.
+    let both = fine.texel.coverage > 0.0 && i32(fine.level) < upper;
+    if toward_coarse > 0.0 && !both {
         let coarse = read_page(dataset, point, upper - 1, color);
         if fine.texel.coverage == 0.0 {
             fine = coarse;
@@ -46,8 +48,8 @@ fn read_levels(dataset: Dataset, point: MapPoint, wanted: f32, color: bool) -> A
             fine.texel.value += (coarse.texel.value - fine.texel.value) * toward_coarse;
             fine.texel.coverage += (coarse.texel.coverage - fine.texel.coverage) * toward_coarse;
         }
-        fine.level = min(fine.level, wanted);
     }
+    fine.level = min(fine.level, wanted);
     return fine;
 }
 

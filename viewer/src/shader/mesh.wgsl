@@ -73,7 +73,9 @@ struct Vertex {
     @builtin(position) clip: vec4f,
     // Weights of the corners b and c.
     @location(0) weights: vec2f,
-    @location(1) @interpolate(flat) patch_index: u32,
+    // Ground meters to a texel of the level used.
+    @location(1) texel_m: f32,
+    @location(2) @interpolate(flat) patch_index: u32,
 }
 
 // steps: segments from corner a toward b and toward c.
@@ -118,12 +120,13 @@ fn vertex(@location(0) steps: vec2i, @builtin(instance_index) patch_index: u32) 
 
     let frame = frames[place.frame];
     let footprint_m = length(position_at(frame, place.d, frame.height)) * scene.pixel_angle;
-    let height = height_at(place.frame, place.d, footprint_m);
-    return Vertex(clip_from_eye(position_at(frame, place.d, height)), weights, patch_index);
+    let composed = compose(place.frame, place.d, footprint_m, false);
+    let position = position_at(frame, place.d, scene.exaggeration * composed.value.x);
+    return Vertex(clip_from_eye(position), weights, composed.texel_m, patch_index);
 }
 
-// Patch number plus 1, and the weights' bits: no place on the planet is rounded.
+// Patch number plus 1, and bits of the weights and the texel: no place on the planet is rounded.
 @fragment
 fn fragment(in: Vertex) -> @location(0) vec4u {
-    return vec4u(in.patch_index + 1u, bitcast<u32>(in.weights.x), bitcast<u32>(in.weights.y), 0u);
+    return vec4u(in.patch_index + 1u, bitcast<u32>(in.weights.x), bitcast<u32>(in.weights.y), bitcast<u32>(in.texel_m));
 }
