@@ -8,6 +8,8 @@
 
 use areoid_cache::{Selection, View};
 use areoid_formats::body::Ellipsoid;
+use areoid_formats::geodesy::geographic_from_normal;
+use areoid_formats::page::Kind;
 use glam::DVec3;
 
 use super::aovs::Aovs;
@@ -214,6 +216,15 @@ impl Renderer {
         let deferred = read_texture(&self.gpu, &targets.deferred);
         let measures = read_buffer(&self.gpu, &targets.measures);
         Aovs::new(view, &self.ellipsoid, self.exaggeration, &self.mesh, &deferred, &measures)
+    }
+
+    /// The exaggerated height drawn last at a unit normal, from the finest page in memory; 0 before.
+    #[must_use]
+    pub fn height_m(&self, normal: DVec3) -> f64 {
+        let place = geographic_from_normal(normal);
+        let found =
+            self.surface.as_ref().and_then(|surface| surface.compose(Kind::Height, place, 0.0));
+        found.map_or(0.0, |found| self.exaggeration * found.value[0])
     }
 
     /// The picture as a texture of sRGB codes, or `None` before the first.
