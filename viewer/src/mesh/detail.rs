@@ -53,7 +53,7 @@ pub(crate) struct Detail {
     /// Exaggerated.
     range_m: (f64, f64),
     heights: HashMap<[u64; 3], f32>,
-    exaggeration: f64,
+    pub(crate) exaggeration: f64,
 }
 
 impl Detail {
@@ -73,7 +73,7 @@ impl Detail {
         self.exaggeration = exaggeration;
     }
 
-    /// The exaggerated height of the finest surface at a normal, rounded once for all users.
+    /// The height of the finest surface at a normal, rounded once for all users.
     #[expect(clippy::cast_possible_truncation, reason = "rounded on purpose")]
     pub(crate) fn height_m(&mut self, surface: &Surface, normal: DVec3) -> f32 {
         if self.heights.len() > MOST_HEIGHTS {
@@ -81,7 +81,7 @@ impl Detail {
         }
         *self.heights.entry(normal.to_array().map(f64::to_bits)).or_insert_with(|| {
             let found = surface.compose(Kind::Height, geographic_from_normal(normal), 0.0);
-            (self.exaggeration * found.map_or(0.0, |found| found.value[0])) as f32
+            found.map_or(0.0, |found| found.value[0]) as f32
         })
     }
 
@@ -169,7 +169,9 @@ impl Criterion {
         }
 
         let radius = self.ellipsoid.a().0;
-        let heights = corners.map(|corner| f64::from(detail.height_m(surface, corner)));
+        let exaggeration = detail.exaggeration;
+        let heights =
+            corners.map(|corner| exaggeration * f64::from(detail.height_m(surface, corner)));
         let lifted = [0, 1, 2]
             .map(|i| reference_point(&self.ellipsoid, corners[i]) + heights[i] * corners[i]);
         let relief = heights.iter().fold(0.0_f64, |most, h| most.max((h - heights[0]).abs()));

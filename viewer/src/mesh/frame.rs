@@ -13,7 +13,7 @@ use crate::mirror;
 /// A place and its axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Frame {
-    /// Body-fixed meters, `height_m` above the reference surface.
+    /// Body-fixed meters, exaggerated `height_m` above the reference surface.
     pub(crate) origin: DVec3,
     /// Columns east, north and up. On the axis those of the meridian of longitude 0.
     pub(crate) axes: DMat3,
@@ -47,8 +47,14 @@ pub(crate) fn axes_at(normal: DVec3) -> DMat3 {
 
 impl Frame {
     /// The frame at a unit normal.
-    pub(crate) fn new(ellipsoid: &Ellipsoid, normal: DVec3, height_m: f32) -> Self {
-        let origin = reference_point(ellipsoid, normal) + f64::from(height_m) * normal;
+    pub(crate) fn new(
+        ellipsoid: &Ellipsoid,
+        normal: DVec3,
+        height_m: f32,
+        exaggeration: f64,
+    ) -> Self {
+        let origin =
+            reference_point(ellipsoid, normal) + exaggeration * f64::from(height_m) * normal;
         Self { origin, axes: axes_at(normal), height_m, reach: 0.0 }
     }
 

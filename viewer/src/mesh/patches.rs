@@ -24,6 +24,7 @@ const SLOPE_REACH: f64 = 0.01;
 #[derive(Debug, Default)]
 pub(crate) struct Mesh {
     tree: Tree,
+    exaggeration: f64,
     /// By corner of the tree.
     frame_of_corner: Vec<u32>,
     /// By edge of the tree.
@@ -49,6 +50,7 @@ impl Mesh {
         let mut tree = std::mem::take(&mut self.tree);
         tree.build(|corners, depth| criterion.verdict(detail, surface, corners, depth));
 
+        self.exaggeration = detail.exaggeration;
         self.frames.clear();
         self.edges.clear();
         self.patches.clear();
@@ -89,7 +91,8 @@ impl Mesh {
         let corners = patch.corners.map(|i| tree.corners()[i as usize]);
         let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
         let normal = middle.normalize();
-        let frame = self.add_frame(Frame::new(&ellipsoid, normal, height_m(normal)));
+        let frame =
+            self.add_frame(Frame::new(&ellipsoid, normal, height_m(normal), self.exaggeration));
         let reach = corners.iter().map(|corner| corner.distance(normal)).fold(0.0, f64::max);
         self.frames[frame as usize].reach = 2.0 * reach;
         let axes = self.frames[frame as usize].axes;
@@ -127,7 +130,7 @@ impl Mesh {
         let frames = [edge.start, edge.middle(), edge.end].map(|corner| {
             if self.frame_of_corner[corner as usize] == NONE {
                 let normal = tree.corners()[corner as usize];
-                let frame = Frame::new(&ellipsoid, normal, height_m(normal));
+                let frame = Frame::new(&ellipsoid, normal, height_m(normal), self.exaggeration);
                 self.frame_of_corner[corner as usize] = self.add_frame(frame);
             }
             self.frame_of_corner[corner as usize]
@@ -156,20 +159,22 @@ impl Mesh {
         count(self.frames.len() - 1)
     }
 
-    /// The unit normal and body-fixed reference point of a place in a patch, in f64.
+    /// The unit normal and body-fixed reference point of a place in a patch, and the height that the
+    /// shaders tell heights from there.
     pub(crate) fn place(
         &self,
         ellipsoid: &Ellipsoid,
         patch: u32,
         weights: [f32; 2],
-    ) -> (DVec3, DVec3) {
+    ) -> (DVec3, DVec3, f64) {
         let patch = &self.patches[patch as usize];
         let [a, b, c] = [patch.corner_a, patch.corner_b, patch.corner_c]
             .map(|corner| glam::Vec3::from_array(corner).as_dvec3());
         let [to_b, to_c] = weights.map(f64::from);
         let chord = a + to_b * (b - a) + to_c * (c - a) + DVec3::Z * f64::from(patch.distance);
         let normal = (self.frames[patch.frame as usize].axes * chord).normalize();
-        (normal, reference_point(ellipsoid, normal))
+        let base_m = f64::from(self.frames[patch.frame as usize].height_m);
+        (normal, reference_point(ellipsoid, normal), base_m)
     }
 }
 

@@ -372,6 +372,20 @@ impl Renderer {
         gpu.queue.submit([encoder.finish()]);
     }
 
+    /// What `probe`, a shader about the geometry drawn last, writes at `group(2) binding(0)`.
+    #[cfg(test)]
+    pub(crate) fn probe(&self, source: &str, bytes: u64, workgroups: u32) -> Vec<u8> {
+        let layouts = [&self.pipelines.scene_layout, &self.pipelines.atlas_layout];
+        let groups = [&self.scene_group, &self.atlas_group];
+        super::testing::probe(&self.gpu, source, layouts, groups, bytes, workgroups)
+    }
+
+    /// The geometry drawn last.
+    #[cfg(test)]
+    pub(crate) fn mesh(&self) -> &Mesh {
+        &self.mesh
+    }
+
     fn measure(&self, targets: &Targets) {
         let gpu = &self.gpu;
         let deferred = targets.deferred.create_view(&wgpu::TextureViewDescriptor::default());

@@ -21,7 +21,7 @@ fn read_pixel(at: vec2i) -> Pixel {
     let part = patches[stored.x - 1u];
     let place = place_in_patch(part, vec2f(bitcast<f32>(stored.y), bitcast<f32>(stored.z)));
     let frame = frames[place.frame];
-    let position = position_at(frame, place.d, frame.height);
+    let position = position_at(frame, place.d, 0.0);
     let footprint_m = length(position) * scene.pixel_angle;
     return Pixel(i32(stored.x) - 1, place, position, footprint_m, bitcast<f32>(stored.w));
 }
