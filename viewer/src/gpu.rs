@@ -3,7 +3,6 @@
 /// A graphics device and its queue. Clones share it.
 #[derive(Clone, Debug)]
 pub struct Gpu {
-    pub(crate) instance: wgpu::Instance,
     pub(crate) adapter: wgpu::Adapter,
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
@@ -38,7 +37,7 @@ impl Gpu {
     pub fn headless() -> Result<Self, GpuError> {
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
         descriptor.backends = wgpu::Backends::VULKAN | wgpu::Backends::GL;
-        Self::from_instance(wgpu::Instance::new(descriptor), None)
+        Self::from_instance(&wgpu::Instance::new(descriptor), None)
     }
 
     /// A device of `instance` that can present to `surface`.
@@ -47,7 +46,7 @@ impl Gpu {
     ///
     /// Any [`GpuError`].
     pub(crate) fn from_instance(
-        instance: wgpu::Instance,
+        instance: &wgpu::Instance,
         surface: Option<&wgpu::Surface<'_>>,
     ) -> Result<Self, GpuError> {
         let backends = wgpu::Backends::VULKAN | wgpu::Backends::GL;
@@ -63,7 +62,7 @@ impl Gpu {
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
             .map_err(|source| GpuError::NoDevice { name: adapter.get_info().name, source })?;
-        Ok(Self { instance, adapter, device, queue })
+        Ok(Self { adapter, device, queue })
     }
 
     /// The adapter's name and interface, for people.

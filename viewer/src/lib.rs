@@ -8,6 +8,8 @@
 
 pub mod camera;
 
+pub mod orbit;
+
 mod mirror;
 
 mod shader;
@@ -23,6 +25,8 @@ mod gpu;
 mod atlas;
 
 mod render;
+
+pub mod window;
 
 #[cfg(test)]
 mod testing;

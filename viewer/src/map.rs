@@ -5,11 +5,13 @@
 //! differences into texels.
 
 use areoid_cache::DatasetInfo;
+use areoid_formats::address::{Level, PageAddress};
 use areoid_formats::body::Ellipsoid;
-use areoid_formats::geodesy::{Geographic, LatitudeKind, geographic_from_normal};
+use areoid_formats::geodesy::{Geographic, LatitudeKind, geographic_from_normal, surface_normal};
+use areoid_formats::grid::{Grid, TexelPoint};
 use areoid_formats::projection::{Crs, Pole, Projection};
 use areoid_formats::units::Radians;
-use glam::DMat3;
+use glam::{DMat3, DVec3};
 
 use crate::mirror;
 
@@ -33,10 +35,51 @@ enum Factors {
     },
 }
 
+/// Where a dataset's pages lie: within a chord's length of a direction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Cap {
+    pub(crate) center: DVec3,
+    pub(crate) chord: f64,
+}
+
+impl Cap {
+    /// The whole sphere.
+    pub(crate) const ALL: Self = Self { center: DVec3::Z, chord: 2.0 };
+
+    /// Where a page lies, by nine points of its interior.
+    pub(crate) fn of_page(grid: &Grid, page: PageAddress) -> Self {
+        const SLACK: f64 = 1.2;
+
+        let interior = f64::from(grid.pyramid().interior());
+        let (rows, cols) = grid.pyramid().interior_size(page);
+        let points = [0.0, 0.5, 1.0].into_iter().flat_map(|down| {
+            [0.0, 0.5, 1.0].map(|across| TexelPoint {
+                x: f64::from(page.col) * interior + across * f64::from(cols),
+                y: f64::from(page.row) * interior + down * f64::from(rows),
+            })
+        });
+        let normals: Option<Vec<DVec3>> = points
+            .map(|point| grid.geographic_from_texel(page.level, point).map(surface_normal))
+            .collect();
+        let Some(normals) = normals else { return Self::ALL };
+        let center = normals[normals.len() / 2];
+        let reach = normals.iter().map(|normal| normal.distance(center)).fold(0.0, f64::max);
+        // Nine points say little about a page around half of the body.
+        if reach > 1.0 { Self::ALL } else { Self { center, chord: SLACK * reach } }
+    }
+
+    /// Whether anything lies within `reach` of a direction.
+    pub(crate) fn meets(&self, direction: DVec3, reach: f64) -> bool {
+        self.center.distance(direction) <= self.chord + reach
+    }
+}
+
 /// The constants of one dataset's map.
 #[derive(Clone, Debug)]
 pub(crate) struct DatasetMap {
     info: DatasetInfo,
+    /// The dataset's whole outline.
+    cap: Cap,
     factors: Factors,
     /// (b / a)² where the map's latitudes are planetocentric, or 1.
     latitude_ratio: f64,
@@ -67,7 +110,11 @@ impl DatasetMap {
                 ])
             }
         };
-        Self { info: info.clone(), factors, latitude_ratio }
+        let cap = match info.grid.pyramid().pages(Level(0)) {
+            Some((1, 1)) => Cap::of_page(&info.grid, PageAddress::new(Level(0), 0, 0)),
+            _ => Cap::ALL,
+        };
+        Self { info: info.clone(), cap, factors, latitude_ratio }
     }
 
     /// The constants for the shaders. The windows of the page table start at `first_window`, and
@@ -104,10 +151,13 @@ impl DatasetMap {
         }
     }
 
-    /// The anchor of a frame with these axes.
+    /// The anchor of a frame with these axes, for places within a chord of `reach` of it.
     #[expect(clippy::cast_possible_truncation, reason = "whole texels, and fractions of one")]
-    pub(crate) fn anchor(&self, axes: &DMat3) -> mirror::Anchor {
+    pub(crate) fn anchor(&self, axes: &DMat3, reach: f64) -> mirror::Anchor {
         let up = axes.z_axis;
+        if !self.cap.meets(up, reach) {
+            return ABSENT;
+        }
         let grid = &self.info.grid;
         let Some(point) = grid.crs().project(geographic_from_normal(up)) else { return ABSENT };
         let place = grid.texel_from_map(grid.pyramid().finest(), point);

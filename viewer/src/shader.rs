@@ -14,6 +14,9 @@ pub(crate) const SURFACE: &[&str] = &[
     include_str!("shader/mesh.wgsl"),
 ];
 
+/// The finished picture onto a surface.
+pub(crate) const PRESENT: &str = include_str!("shader/present.wgsl");
+
 /// The programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Program {

@@ -11,9 +11,10 @@
 use std::collections::HashMap;
 
 use areoid_cache::View;
+use areoid_formats::address::PageAddress;
 use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::geographic_from_normal;
-use areoid_formats::grid::TexelPoint;
+use areoid_formats::grid::Grid;
 use areoid_formats::page::Kind;
 use glam::DVec3;
 
@@ -21,13 +22,14 @@ use super::frame::reference_point;
 use super::sphere::distance_to_triangle;
 use super::tree::Verdict;
 use crate::camera::pixel_angle;
+use crate::map::Cap;
 use crate::surface::Surface;
 
 /// Segments along the side of a patch.
 pub(crate) const SEGMENTS: u32 = 16;
 
 /// Pixels between vertices, to a pixel of tolerance, where the terrain has detail for them.
-const SPACING_PX: f64 = 3.0;
+const SPACING_PX: f64 = 4.0;
 /// Pixels between vertices everywhere: flat patches stay small enough for f32 weights.
 const WIDEST_SPACING_PX: f64 = 32.0;
 /// Texels between vertices at most where they are large on the screen.
@@ -43,22 +45,15 @@ const FIRST_FLAT: u8 = 3;
 /// Heights kept from view to view.
 const MOST_HEIGHTS: usize = 1 << 18;
 
-/// A page's place: within a chord's length of a direction, texels of a size.
-#[derive(Clone, Copy, Debug)]
-struct Cap {
-    center: DVec3,
-    chord: f64,
-    texel_m: f64,
-}
-
 /// What the pages in memory say about detail; it outlives views.
 #[derive(Debug, Default)]
 pub(crate) struct Detail {
-    caps: Vec<Cap>,
+    /// Of height pages, with ground meters to a texel.
+    caps: Vec<(Cap, f64)>,
     /// Exaggerated.
     range_m: (f64, f64),
     heights: HashMap<[u64; 3], f32>,
-    exaggeration: f64,
+    pub(crate) exaggeration: f64,
 }
 
 impl Detail {
@@ -70,7 +65,7 @@ impl Detail {
             surface
                 .pages()
                 .filter(|page| datasets[page.dataset].kind == Kind::Height)
-                .filter_map(|page| cap_of(&datasets[page.dataset].grid, page.entry.page)),
+                .map(|page| place_of(&datasets[page.dataset].grid, page.entry.page)),
         );
         let (low, high) = surface.height_range_m();
         self.range_m = (low * exaggeration, high * exaggeration);
@@ -78,7 +73,7 @@ impl Detail {
         self.exaggeration = exaggeration;
     }
 
-    /// The exaggerated height of the finest surface at a normal, rounded once for all users.
+    /// The height of the finest surface at a normal, rounded once for all users.
     #[expect(clippy::cast_possible_truncation, reason = "rounded on purpose")]
     pub(crate) fn height_m(&mut self, surface: &Surface, normal: DVec3) -> f32 {
         if self.heights.len() > MOST_HEIGHTS {
@@ -86,43 +81,23 @@ impl Detail {
         }
         *self.heights.entry(normal.to_array().map(f64::to_bits)).or_insert_with(|| {
             let found = surface.compose(Kind::Height, geographic_from_normal(normal), 0.0);
-            (self.exaggeration * found.map_or(0.0, |found| found.value[0])) as f32
+            found.map_or(0.0, |found| found.value[0]) as f32
         })
     }
 
     /// Ground meters to the finest texel in memory about a triangle.
     fn finest_texel_m(&self, center: DVec3, radius: f64) -> f64 {
-        let near = self.caps.iter().filter(|cap| cap.center.distance(center) <= cap.chord + radius);
-        near.fold(f64::INFINITY, |finest, cap| finest.min(cap.texel_m))
+        let near = self.caps.iter().filter(|(cap, _)| cap.meets(center, radius));
+        near.fold(f64::INFINITY, |finest, &(_, texel_m)| finest.min(texel_m))
     }
 }
 
-/// Where a page lies, by nine points of its interior.
-fn cap_of(
-    grid: &areoid_formats::grid::Grid,
-    page: areoid_formats::address::PageAddress,
-) -> Option<Cap> {
-    const SLACK: f64 = 1.2;
-
-    let interior = f64::from(grid.pyramid().interior());
-    let (rows, cols) = grid.pyramid().interior_size(page);
-    let points = [0.0, 0.5, 1.0].into_iter().flat_map(|down| {
-        [0.0, 0.5, 1.0].map(|across| TexelPoint {
-            x: f64::from(page.col) * interior + across * f64::from(cols),
-            y: f64::from(page.row) * interior + down * f64::from(rows),
-        })
-    });
-    let normals: Vec<DVec3> = points
-        .filter_map(|point| grid.geographic_from_texel(page.level, point))
-        .map(areoid_formats::geodesy::surface_normal)
-        .collect();
-    let center = *normals.get(normals.len() / 2)?;
-    let reach = normals.iter().map(|normal| normal.distance(center)).fold(0.0, f64::max);
-    // Nine points say little about a page around half of the body.
-    let chord = if reach > 1.0 { 2.0 } else { SLACK * reach };
-    let scales =
-        grid.crs().principal_scales(geographic_from_normal(center), grid.pixel_size_at(page.level));
-    Some(Cap { center, chord, texel_m: scales.0 })
+/// Where a page lies, and ground meters to its texel.
+fn place_of(grid: &Grid, page: PageAddress) -> (Cap, f64) {
+    let cap = Cap::of_page(grid, page);
+    let center = geographic_from_normal(cap.center);
+    let (texel_m, _) = grid.crs().principal_scales(center, grid.pixel_size_at(page.level));
+    (cap, texel_m)
 }
 
 /// One view's wishes.
@@ -194,7 +169,9 @@ impl Criterion {
         }
 
         let radius = self.ellipsoid.a().0;
-        let heights = corners.map(|corner| f64::from(detail.height_m(surface, corner)));
+        let exaggeration = detail.exaggeration;
+        let heights =
+            corners.map(|corner| exaggeration * f64::from(detail.height_m(surface, corner)));
         let lifted = [0, 1, 2]
             .map(|i| reference_point(&self.ellipsoid, corners[i]) + heights[i] * corners[i]);
         let relief = heights.iter().fold(0.0_f64, |most, h| most.max((h - heights[0]).abs()));

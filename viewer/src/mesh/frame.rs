@@ -13,12 +13,14 @@ use crate::mirror;
 /// A place and its axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Frame {
-    /// Body-fixed meters, `height_m` above the reference surface.
+    /// Body-fixed meters, exaggerated `height_m` above the reference surface.
     pub(crate) origin: DVec3,
     /// Columns east, north and up. On the axis those of the meridian of longitude 0.
     pub(crate) axes: DMat3,
     /// Roughly the height of the terrain; an `f32`, so that the shaders subtract the same number.
     pub(crate) height_m: f32,
+    /// How far from it places are told by it, as a chord.
+    pub(crate) reach: f64,
 }
 
 /// The point of the surface whose normal is `normal`, a unit vector: `(a² x, a² y, b² z) / w`.
@@ -45,9 +47,15 @@ pub(crate) fn axes_at(normal: DVec3) -> DMat3 {
 
 impl Frame {
     /// The frame at a unit normal.
-    pub(crate) fn new(ellipsoid: &Ellipsoid, normal: DVec3, height_m: f32) -> Self {
-        let origin = reference_point(ellipsoid, normal) + f64::from(height_m) * normal;
-        Self { origin, axes: axes_at(normal), height_m }
+    pub(crate) fn new(
+        ellipsoid: &Ellipsoid,
+        normal: DVec3,
+        height_m: f32,
+        exaggeration: f64,
+    ) -> Self {
+        let origin =
+            reference_point(ellipsoid, normal) + exaggeration * f64::from(height_m) * normal;
+        Self { origin, axes: axes_at(normal), height_m, reach: 0.0 }
     }
 
     /// The frame for the shaders of one view.

@@ -17,10 +17,14 @@ use crate::surface::Surface;
 
 const NONE: u32 = u32::MAX;
 
+/// Slopes are taken from places so far outside a patch, as a chord, besides its own size.
+const SLOPE_REACH: f64 = 0.01;
+
 /// The geometry of one view. The buffers are kept from view to view.
 #[derive(Debug, Default)]
 pub(crate) struct Mesh {
     tree: Tree,
+    exaggeration: f64,
     /// By corner of the tree.
     frame_of_corner: Vec<u32>,
     /// By edge of the tree.
@@ -46,6 +50,7 @@ impl Mesh {
         let mut tree = std::mem::take(&mut self.tree);
         tree.build(|corners, depth| criterion.verdict(detail, surface, corners, depth));
 
+        self.exaggeration = detail.exaggeration;
         self.frames.clear();
         self.edges.clear();
         self.patches.clear();
@@ -64,7 +69,8 @@ impl Mesh {
         self.anchors.clear();
         for frame in &self.frames {
             self.mirrored_frames.push(frame.seen_from(view.eye));
-            self.anchors.extend(maps.iter().map(|map| map.anchor(&frame.axes)));
+            let anchors = maps.iter().map(|map| map.anchor(&frame.axes, frame.reach + SLOPE_REACH));
+            self.anchors.extend(anchors);
         }
     }
 
@@ -85,7 +91,10 @@ impl Mesh {
         let corners = patch.corners.map(|i| tree.corners()[i as usize]);
         let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
         let normal = middle.normalize();
-        let frame = self.add_frame(Frame::new(&ellipsoid, normal, height_m(normal)));
+        let frame =
+            self.add_frame(Frame::new(&ellipsoid, normal, height_m(normal), self.exaggeration));
+        let reach = corners.iter().map(|corner| corner.distance(normal)).fold(0.0, f64::max);
+        self.frames[frame as usize].reach = 2.0 * reach;
         let axes = self.frames[frame as usize].axes;
         let [corner_a, corner_b, corner_c] =
             corners.map(|corner| (axes.transpose() * (corner - middle)).as_vec3().to_array());
@@ -121,14 +130,16 @@ impl Mesh {
         let frames = [edge.start, edge.middle(), edge.end].map(|corner| {
             if self.frame_of_corner[corner as usize] == NONE {
                 let normal = tree.corners()[corner as usize];
-                let frame = Frame::new(&ellipsoid, normal, height_m(normal));
+                let frame = Frame::new(&ellipsoid, normal, height_m(normal), self.exaggeration);
                 self.frame_of_corner[corner as usize] = self.add_frame(frame);
             }
             self.frame_of_corner[corner as usize]
         });
         let [start, end] = [edge.start, edge.end].map(|i| tree.corners()[i as usize]);
         let chord = end - start;
-        let axes = self.frames[frames[1] as usize].axes;
+        let middle = &mut self.frames[frames[1] as usize];
+        middle.reach = middle.reach.max(chord.length());
+        let axes = middle.axes;
         let direction = (axes.transpose() * chord).truncate().normalize();
         let half_chord = 0.5 * chord.length();
         self.edges.push(mirror::Edge {
@@ -148,20 +159,22 @@ impl Mesh {
         count(self.frames.len() - 1)
     }
 
-    /// The unit normal and body-fixed reference point of a place in a patch, in f64.
+    /// The unit normal and body-fixed reference point of a place in a patch, and the height that the
+    /// shaders tell heights from there.
     pub(crate) fn place(
         &self,
         ellipsoid: &Ellipsoid,
         patch: u32,
         weights: [f32; 2],
-    ) -> (DVec3, DVec3) {
+    ) -> (DVec3, DVec3, f64) {
         let patch = &self.patches[patch as usize];
         let [a, b, c] = [patch.corner_a, patch.corner_b, patch.corner_c]
             .map(|corner| glam::Vec3::from_array(corner).as_dvec3());
         let [to_b, to_c] = weights.map(f64::from);
         let chord = a + to_b * (b - a) + to_c * (c - a) + DVec3::Z * f64::from(patch.distance);
         let normal = (self.frames[patch.frame as usize].axes * chord).normalize();
-        (normal, reference_point(ellipsoid, normal))
+        let base_m = f64::from(self.frames[patch.frame as usize].height_m);
+        (normal, reference_point(ellipsoid, normal), base_m)
     }
 }
 

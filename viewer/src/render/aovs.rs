@@ -51,20 +51,18 @@ impl Aovs {
             let word = |at: usize| u32_at(pixel, at);
             let Some(patch) = word(0).checked_sub(1) else { continue };
             let weights = [word(4), word(8)].map(f32::from_bits);
-            let (normal, reference) = mesh.place(ellipsoid, patch, weights);
-            let height_m = f32::from_bits(u32_at(measure, 0));
+            let (normal, reference, base_m) = mesh.place(ellipsoid, patch, weights);
+            let height_m = base_m + f64::from(f32::from_bits(u32_at(measure, 0)));
             let level = f32::from_bits(u32_at(measure, 4));
-            let position = reference + exaggeration * f64::from(height_m) * normal;
+            let position = reference + exaggeration * height_m * normal;
             let place = geographic_from_normal(normal);
 
             aovs.position[i] = position.to_array();
             aovs.geographic[i] =
                 [place.longitude, place.latitude].map(|angle| Degrees::from(angle).0);
-            aovs.height_m[i] = height_m;
             aovs.level[i] = if level < 0.0 { f32::NAN } else { level };
-            #[expect(clippy::cast_possible_truncation, reason = "a distance from the eye")]
-            let depth = -(position - view.eye).dot(view.orientation.z_axis) as f32;
-            aovs.depth_m[i] = depth;
+            let depth_m = -(position - view.eye).dot(view.orientation.z_axis);
+            (aovs.height_m[i], aovs.depth_m[i]) = (single(height_m), single(depth_m));
         }
         aovs
     }
@@ -72,4 +70,9 @@ impl Aovs {
 
 fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "rounded on purpose: heights and distances")]
+fn single(meters: f64) -> f32 {
+    meters as f32
 }

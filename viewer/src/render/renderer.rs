@@ -8,6 +8,8 @@
 
 use areoid_cache::{Selection, View};
 use areoid_formats::body::Ellipsoid;
+use areoid_formats::geodesy::geographic_from_normal;
+use areoid_formats::page::Kind;
 use glam::DVec3;
 
 use super::aovs::Aovs;
@@ -216,6 +218,15 @@ impl Renderer {
         Aovs::new(view, &self.ellipsoid, self.exaggeration, &self.mesh, &deferred, &measures)
     }
 
+    /// The exaggerated height drawn last at a unit normal, from the finest page in memory; 0 before.
+    #[must_use]
+    pub fn height_m(&self, normal: DVec3) -> f64 {
+        let place = geographic_from_normal(normal);
+        let found =
+            self.surface.as_ref().and_then(|surface| surface.compose(Kind::Height, place, 0.0));
+        found.map_or(0.0, |found| self.exaggeration * found.value[0])
+    }
+
     /// The picture as a texture of sRGB codes, or `None` before the first.
     pub(crate) fn picture(&self) -> Option<&wgpu::Texture> {
         self.targets.as_ref().map(|targets| &targets.picture)
@@ -359,6 +370,20 @@ impl Renderer {
             pass.draw(0..3, 0..1);
         }
         gpu.queue.submit([encoder.finish()]);
+    }
+
+    /// What `probe`, a shader about the geometry drawn last, writes at `group(2) binding(0)`.
+    #[cfg(test)]
+    pub(crate) fn probe(&self, source: &str, bytes: u64, workgroups: u32) -> Vec<u8> {
+        let layouts = [&self.pipelines.scene_layout, &self.pipelines.atlas_layout];
+        let groups = [&self.scene_group, &self.atlas_group];
+        super::testing::probe(&self.gpu, source, layouts, groups, bytes, workgroups)
+    }
+
+    /// The geometry drawn last.
+    #[cfg(test)]
+    pub(crate) fn mesh(&self) -> &Mesh {
+        &self.mesh
     }
 
     fn measure(&self, targets: &Targets) {

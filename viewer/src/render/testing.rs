@@ -71,3 +71,66 @@ pub(crate) fn compute<T: Pod>(
     gpu.queue.submit([encoder.finish()]);
     bytemuck::cast_slice(&read_buffer(gpu, &probes)).to_vec()
 }
+
+/// The bytes that the entry point `probe` writes at `group(2) binding(0)`, beside the bound groups.
+pub(crate) fn probe(
+    gpu: &Gpu,
+    source: &str,
+    layouts: [&wgpu::BindGroupLayout; 2],
+    groups: [&Option<wgpu::BindGroup>; 2],
+    bytes: u64,
+    workgroups: u32,
+) -> Vec<u8> {
+    let answers = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("answers"),
+        size: bytes,
+        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
+        mapped_at_creation: false,
+    });
+    let layout = gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("answers"),
+        entries: &[wgpu::BindGroupLayoutEntry {
+            binding: 0,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer {
+                ty: wgpu::BufferBindingType::Storage { read_only: false },
+                has_dynamic_offset: false,
+                min_binding_size: None,
+            },
+            count: None,
+        }],
+    });
+    let bound = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("answers"),
+        layout: &layout,
+        entries: &[wgpu::BindGroupEntry { binding: 0, resource: answers.as_entire_binding() }],
+    });
+    let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some("probe"),
+        bind_group_layouts: &[Some(layouts[0]), Some(layouts[1]), Some(&layout)],
+        immediate_size: 0,
+    });
+    let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("probe"),
+        source: wgpu::ShaderSource::Wgsl(source.into()),
+    });
+    let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some("probe"),
+        layout: Some(&pipeline_layout),
+        module: &module,
+        entry_point: Some("probe"),
+        compilation_options: wgpu::PipelineCompilationOptions::default(),
+        cache: None,
+    });
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    {
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_pipeline(&pipeline);
+        pass.set_bind_group(0, groups[0], &[]);
+        pass.set_bind_group(1, groups[1], &[]);
+        pass.set_bind_group(2, &bound, &[]);
+        pass.dispatch_workgroups(workgroups, 1, 1);
+    }
+    gpu.queue.submit([encoder.finish()]);
+    read_buffer(gpu, &answers)
+}

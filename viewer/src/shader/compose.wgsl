@@ -22,36 +22,39 @@ struct Answer {
     level: f32,
 }
 
-fn read_page(dataset: Dataset, point: MapPoint, level: i32, color: bool) -> Answer {
+fn read_page(dataset: Dataset, point: MapPoint, level: i32, base: f32, color: bool) -> Answer {
     let found = find_page(dataset, point, level);
     if found.entry == 0u {
         return Answer(Texel(vec3f(0.0), 0.0), 0.0);
     }
-    let side = dataset.interior + 2;
     if color {
-        return Answer(read_color(found, side), f32(entry_level(found.entry)));
+        return Answer(read_color(found), f32(entry_level(found.entry)));
     }
-    return Answer(read_height(found, side), f32(entry_level(found.entry)));
+    return Answer(read_height(found, base), f32(entry_level(found.entry)));
 }
 
-fn read_levels(dataset: Dataset, point: MapPoint, wanted: f32, color: bool) -> Answer {
+fn read_levels(dataset: Dataset, point: MapPoint, wanted: f32, base: f32, color: bool) -> Answer {
     let upper = i32(ceil(wanted));
     let toward_coarse = f32(upper) - wanted;
-    var fine = read_page(dataset, point, upper, color);
-    if toward_coarse > 0.0 {
-        let coarse = read_page(dataset, point, upper - 1, color);
+    var fine = read_page(dataset, point, upper, base, color);
+    // A page that is coarser than asked stands in for both levels.
+    let both = fine.texel.coverage > 0.0 && i32(fine.level) < upper;
+    if toward_coarse > 0.0 && !both {
+        let coarse = read_page(dataset, point, upper - 1, base, color);
         if fine.texel.coverage == 0.0 {
             fine = coarse;
         } else if coarse.texel.coverage > 0.0 {
             fine.texel.value += (coarse.texel.value - fine.texel.value) * toward_coarse;
             fine.texel.coverage += (coarse.texel.coverage - fine.texel.coverage) * toward_coarse;
         }
-        fine.level = min(fine.level, wanted);
     }
+    fine.level = min(fine.level, wanted);
     return fine;
 }
 
+// Heights are told above the frame's own, and are those of the reference surface where there are none.
 fn compose(frame_index: u32, d: vec3f, footprint_m: f32, color: bool) -> Composed {
+    let base = frames[frame_index].height;
     let r0 = frames[frame_index].north.z;
     let z0 = frames[frame_index].up.z;
     let x = r0 + d.z * r0 - d.y * z0;
@@ -79,7 +82,7 @@ fn compose(frame_index: u32, d: vec3f, footprint_m: f32, color: bool) -> Compose
                 let scales = principal_scales(dataset, r, z);
                 let halvings = max(log2(footprint_m / scales.x) - scene.lod_bias, 0.0);
                 let wanted = max(f32(dataset.levels - 1) - halvings, 0.0);
-                let answer = read_levels(dataset, point, wanted, color);
+                let answer = read_levels(dataset, point, wanted, base, color);
                 if answer.texel.coverage > 0.0 {
                     let share = quality_of(scales) * answer.texel.coverage;
                     weight += share;
@@ -113,11 +116,13 @@ fn compose(frame_index: u32, d: vec3f, footprint_m: f32, color: bool) -> Compose
     }
     if shares > 0.0 {
         composed.value /= shares;
+    } else if !color {
+        composed.value.x = -base;
     }
     return composed;
 }
 
-// The composed height in exaggerated meters, the reference surface where there is none.
+// The composed height above the frame's own, in exaggerated meters.
 fn height_at(frame_index: u32, d: vec3f, footprint_m: f32) -> f32 {
     return scene.exaggeration * compose(frame_index, d, footprint_m, false).value.x;
 }

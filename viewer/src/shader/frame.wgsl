@@ -8,9 +8,9 @@
 // Mirrored   struct Frame <-> viewer/src/mirror.rs, made by mesh/frame.rs
 
 struct Frame {
-    // Eye-relative, `height` above the reference surface.
+    // Eye-relative, exaggerated `height` above the reference surface.
     origin: vec3f,
-    // Meters, exaggerated.
+    // Meters, not exaggerated: heights about the frame are told by their difference from it.
     height: f32,
     east: vec3f,
     pad0: u32,
@@ -31,11 +31,11 @@ fn offset_from_chord(distance: f32, s: vec3f) -> vec3f {
     return vec3f(s.xy, -across2 / (length + along)) / length;
 }
 
-// The position `height` meters above the reference surface at d.
+// The position at d and `above` the frame's own height, in exaggerated meters.
 //
 // P = D n / w with D = (a², a², b²) and w² = a² - (a² - b²) nz², all in units of a; then
 // P - P0 = (D d + P0 (w0 - w)) / w with w0 - w = e² dz (2 z0 + dz) / (w0 + w).
-fn position_at(frame: Frame, d: vec3f, height: f32) -> vec3f {
+fn position_at(frame: Frame, d: vec3f, above: f32) -> vec3f {
     let world = frame.east * d.x + frame.north * d.y + frame.up * d.z;
     let flattened = vec3f(1.0, 1.0, 1.0 - scene.eccentricity2);
     let z0 = frame.up.z;
@@ -44,6 +44,6 @@ fn position_at(frame: Frame, d: vec3f, height: f32) -> vec3f {
     let w = sqrt(1.0 - scene.eccentricity2 * z * z);
     let shrunk = scene.eccentricity2 * world.z * (2.0 * z0 + world.z) / (w0 + w);
     let offset = scene.equatorial_radius * (flattened * world + flattened * frame.up * (shrunk / w0)) / w;
-    let climb = (height - frame.height) * (frame.up + world) + frame.height * world;
+    let climb = above * (frame.up + world) + scene.exaggeration * frame.height * world;
     return frame.origin + (offset + climb);
 }

@@ -4,7 +4,7 @@
 // Twin       picture/aovs.rs turns them into places, in f64
 
 struct Measure {
-    // Meters, not exaggerated.
+    // Meters above the frame of the patch, not exaggerated.
     height: f32,
     // Below 0 where there is none.
     level: f32,

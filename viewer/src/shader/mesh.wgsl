@@ -73,27 +73,27 @@ struct Vertex {
     @builtin(position) clip: vec4f,
     // Weights of the corners b and c.
     @location(0) weights: vec2f,
-    @location(1) @interpolate(flat) patch_index: u32,
+    // Ground meters to a texel of the level used.
+    @location(1) texel_m: f32,
+    @location(2) @interpolate(flat) patch_index: u32,
+}
+
+// Where a vertex lies on a side: the side's number or below 0, and the steps along it.
+fn side_of(steps: vec2i) -> vec2i {
+    if steps.y == 0 {
+        return vec2i(0, steps.x);
+    }
+    if steps.x + steps.y == SEGMENTS {
+        return vec2i(1, steps.y);
+    }
+    return select(vec2i(-1, 0), vec2i(2, SEGMENTS - steps.y), steps.x == 0);
 }
 
 // steps: segments from corner a toward b and toward c.
-@vertex
-fn vertex(@location(0) steps: vec2i, @builtin(instance_index) patch_index: u32) -> Vertex {
+fn vertex_of(patch_index: u32, steps: vec2i) -> Vertex {
     let part = patches[patch_index];
-    // The side from b to c, from c to a, from a to b; and the steps along it.
-    var side = -1;
-    var step = 0;
-    if steps.y == 0 {
-        side = 0;
-        step = steps.x;
-    } else if steps.x + steps.y == SEGMENTS {
-        side = 1;
-        step = steps.y;
-    } else if steps.x == 0 {
-        side = 2;
-        step = SEGMENTS - steps.y;
-    }
-
+    let on_side = side_of(steps);
+    let side = on_side.x;
     var weights = vec2f(steps) / f32(SEGMENTS);
     var place = Place(0u, vec3f(0.0));
     if side < 0 {
@@ -102,6 +102,7 @@ fn vertex(@location(0) steps: vec2i, @builtin(instance_index) patch_index: u32) 
         let ends = (part.sides >> u32(4 * side)) & 0xfu;
         let first = i32(ends & 3u);
         let last = i32(ends >> 2u);
+        var step = on_side.y;
         if abs(last - first) == 1 {
             // Odd vertices fall on the one before them.
             step -= step & 1;
@@ -117,13 +118,19 @@ fn vertex(@location(0) steps: vec2i, @builtin(instance_index) patch_index: u32) 
     }
 
     let frame = frames[place.frame];
-    let footprint_m = length(position_at(frame, place.d, frame.height)) * scene.pixel_angle;
-    let height = height_at(place.frame, place.d, footprint_m);
-    return Vertex(clip_from_eye(position_at(frame, place.d, height)), weights, patch_index);
+    let footprint_m = length(position_at(frame, place.d, 0.0)) * scene.pixel_angle;
+    let composed = compose(place.frame, place.d, footprint_m, false);
+    let position = position_at(frame, place.d, scene.exaggeration * composed.value.x);
+    return Vertex(clip_from_eye(position), weights, composed.texel_m, patch_index);
 }
 
-// Patch number plus 1, and the weights' bits: no place on the planet is rounded.
+@vertex
+fn vertex(@location(0) steps: vec2i, @builtin(instance_index) patch_index: u32) -> Vertex {
+    return vertex_of(patch_index, steps);
+}
+
+// Patch number plus 1, and bits of the weights and the texel: no place on the planet is rounded.
 @fragment
 fn fragment(in: Vertex) -> @location(0) vec4u {
-    return vec4u(in.patch_index + 1u, bitcast<u32>(in.weights.x), bitcast<u32>(in.weights.y), 0u);
+    return vec4u(in.patch_index + 1u, bitcast<u32>(in.weights.x), bitcast<u32>(in.weights.y), bitcast<u32>(in.texel_m));
 }

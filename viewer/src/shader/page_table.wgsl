@@ -23,9 +23,11 @@ const WHOLE: u32 = 0x40000000u;
 // A page in the atlas and a place in it.
 struct Found {
     entry: u32,
-    // Texels from the top left of the page's window.
-    x: f32,
-    y: f32,
+    // The upper left of the four texels about the place, in the page's window.
+    tap: vec2i,
+    // The place between their centers: whole and fraction stay apart, for a texel may be thousands of
+    // pixels wide.
+    t: vec2f,
 }
 
 fn entry_level(entry: u32) -> i32 {
@@ -64,7 +66,7 @@ fn find_page(dataset: Dataset, point: MapPoint, level: i32) -> Found {
         }
     }
     if (entry & HOLDS) == 0u {
-        return Found(0u, 0.0, 0.0);
+        return Found(0u, vec2i(0), vec2f(0.0));
     }
     let found = entry_level(entry);
     let halvings = u32(dataset.levels - 1 - found);
@@ -72,5 +74,8 @@ fn find_page(dataset: Dataset, point: MapPoint, level: i32) -> Found {
     let cell = vec2i(point.texel.x >> halvings, point.texel.y >> halvings) - page * dataset.interior;
     let below = point.texel & vec2i((1 << halvings) - 1);
     let rest = (vec2f(below) + point.fraction) / f32(1u << halvings);
-    return Found(entry, f32(cell.x) + rest.x + 1.0, f32(cell.y) + rest.y + 1.0);
+    // The border puts cell (0, 0) at texel (1, 1).
+    let past_center = rest >= vec2f(0.5);
+    let tap = clamp(cell + vec2i(past_center), vec2i(0), vec2i(dataset.interior));
+    return Found(entry, tap, select(rest + 0.5, rest - 0.5, past_center));
 }

@@ -41,13 +41,13 @@ fn shade(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let frame = frames[index];
     let d = pixel.place.d;
 
-    let height = compose(index, d, pixel.footprint_m, false);
-    let step = max(height.texel_m, pixel.footprint_m) * 0.5 / scene.equatorial_radius;
-    let east = surface_at(frame, index, stepped(d, vec2f(step, 0.0)), pixel.footprint_m)
-        - surface_at(frame, index, stepped(d, vec2f(-step, 0.0)), pixel.footprint_m);
-    let north = surface_at(frame, index, stepped(d, vec2f(0.0, step)), pixel.footprint_m)
-        - surface_at(frame, index, stepped(d, vec2f(0.0, -step)), pixel.footprint_m);
-    let normal = normalize(cross(east, north));
+    // Three points around the pixel, as far apart as a texel: the plane through them leans nowhere
+    // that the surface does not.
+    let step = max(pixel.texel_m, pixel.footprint_m) / scene.equatorial_radius;
+    let a = surface_at(frame, index, stepped(d, step * vec2f(0.0, 0.57735)), pixel.footprint_m);
+    let b = surface_at(frame, index, stepped(d, step * vec2f(-0.5, -0.288675)), pixel.footprint_m);
+    let c = surface_at(frame, index, stepped(d, step * vec2f(0.5, -0.288675)), pixel.footprint_m);
+    let normal = normalize(cross(b - a, c - a));
 
     var color = BASE_COLOR;
     let composed = compose(index, d, pixel.footprint_m, true);

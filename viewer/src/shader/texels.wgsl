@@ -3,7 +3,10 @@
 // A tap without data drops out and the others are weighed anew; where the valid taps weigh less
 // than 1/512 there is no value. A page of full coverage needs no look at it.
 //
-// Units      place in texels from the page's top left corner, the center of (0, 0) at (0.5, 0.5)
+// Heights are told above a base near them: 21 km in an f32 has steps of 2 mm, a pixel from a meter
+// away; the difference of two of them has none.
+//
+// Units      heights in meters, colors in sRGB codes from 0 to 1
 // Twin       areoid_formats::page::Page::reconstruct
 // Exact      a + (b - a) t, not mix(): drivers expand mix() differently
 
@@ -30,43 +33,39 @@ fn blend_taps(a: vec4f, b: vec4f, c: vec4f, d: vec4f, weights: vec4f) -> Texel {
     return Texel(value / sum, coverage);
 }
 
-fn height_tap(at: vec2i, slot: i32) -> vec4f {
+fn height_tap(at: vec2i, slot: i32, base: f32) -> vec4f {
     let coverage = f32(textureLoad(height_coverage, at, slot, 0).r) / 255.0;
-    return vec4f(textureLoad(height_atlas, at, slot, 0).r, 0.0, 0.0, coverage);
+    return vec4f(textureLoad(height_atlas, at, slot, 0).r - base, 0.0, 0.0, coverage);
 }
 
-fn read_height(found: Found, side: i32) -> Texel {
+fn read_height(found: Found, base: f32) -> Texel {
     let slot = i32(found.entry & 0xffffu);
-    let place = clamp(vec2f(found.x, found.y) - 0.5, vec2f(0.0), vec2f(f32(side - 1)));
-    let low = min(floor(place), vec2f(f32(side - 2)));
-    let t = place - low;
-    let at = vec2i(low);
+    let t = found.t;
+    let at = found.tap;
     if (found.entry & WHOLE) != 0u {
-        let a = textureLoad(height_atlas, at, slot, 0).r;
-        let b = textureLoad(height_atlas, at + vec2i(1, 0), slot, 0).r;
-        let c = textureLoad(height_atlas, at + vec2i(0, 1), slot, 0).r;
-        let d = textureLoad(height_atlas, at + vec2i(1, 1), slot, 0).r;
+        let a = textureLoad(height_atlas, at, slot, 0).r - base;
+        let b = textureLoad(height_atlas, at + vec2i(1, 0), slot, 0).r - base;
+        let c = textureLoad(height_atlas, at + vec2i(0, 1), slot, 0).r - base;
+        let d = textureLoad(height_atlas, at + vec2i(1, 1), slot, 0).r - base;
         let above = a + (b - a) * t.x;
         let below = c + (d - c) * t.x;
         return Texel(vec3f(above + (below - above) * t.y, 0.0, 0.0), 1.0);
     }
     let weights = vec4f((1.0 - t.x) * (1.0 - t.y), t.x * (1.0 - t.y), (1.0 - t.x) * t.y, t.x * t.y);
     return blend_taps(
-        height_tap(at, slot),
-        height_tap(at + vec2i(1, 0), slot),
-        height_tap(at + vec2i(0, 1), slot),
-        height_tap(at + vec2i(1, 1), slot),
+        height_tap(at, slot, base),
+        height_tap(at + vec2i(1, 0), slot, base),
+        height_tap(at + vec2i(0, 1), slot, base),
+        height_tap(at + vec2i(1, 1), slot, base),
         weights,
     );
 }
 
 // sRGB codes, 0 to 1.
-fn read_color(found: Found, side: i32) -> Texel {
+fn read_color(found: Found) -> Texel {
     let slot = i32(found.entry & 0xffffu);
-    let place = clamp(vec2f(found.x, found.y) - 0.5, vec2f(0.0), vec2f(f32(side - 1)));
-    let low = min(floor(place), vec2f(f32(side - 2)));
-    let t = place - low;
-    let at = vec2i(low);
+    let t = found.t;
+    let at = found.tap;
     let weights = vec4f((1.0 - t.x) * (1.0 - t.y), t.x * (1.0 - t.y), (1.0 - t.x) * t.y, t.x * t.y);
     return blend_taps(
         textureLoad(color_atlas, at, slot, 0),

@@ -126,3 +126,18 @@ fn gallery_of_mars() {
             .unwrap();
     }
 }
+
+#[test]
+#[ignore = "needs a display and a hand"]
+fn window_of_mars() {
+    let (ellipsoid, selection) = mars();
+    let selection = std::sync::Arc::new(selection);
+    let start = Geographic::from_degrees(Degrees(-70.0), Degrees(-5.0));
+    let options = crate::window::WindowOptions {
+        title: "Mars".to_owned(),
+        ellipsoid,
+        start,
+        tolerance_px: 2.0,
+    };
+    crate::window::run(options, |_| selection.clone()).unwrap();
+}

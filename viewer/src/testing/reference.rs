@@ -11,6 +11,7 @@ use glam::DVec3;
 
 use super::{Planet, Sample, dataset, gpu};
 use crate::camera::{Pose, pixel_angle};
+use crate::shader::Program;
 use crate::surface::Surface;
 use crate::{Aovs, Light, Options, Renderer};
 
@@ -146,7 +147,7 @@ struct Disagreement {
     off_point_px: Vec<f64>,
     /// Of the height shown from the surface's at the place shown.
     height_m: Vec<f64>,
-    /// Of the place shown from the position shown.
+    /// Of the place and the rounded height shown from the position shown.
     place_m: f64,
 }
 
@@ -229,7 +230,7 @@ fn check(name: &str, body: Ellipsoid, pose: Pose, fov: f64) {
     assert!(found.compared > 2000, "{report}");
     assert_eq!(found.holes, 0, "{report}");
     assert!(off_ray.0 < view.tolerance_px && off_point.0 < view.tolerance_px, "{report}");
-    assert!(height.0 < 0.1 && found.place_m < 1e-6, "{report}");
+    assert!(height.0 < 0.1 && found.place_m < 1e-3, "{report}");
 }
 
 fn mars() -> Ellipsoid {
@@ -303,4 +304,140 @@ fn there_are_no_cracks() {
         let seen_through = picture.rgba.chunks(4).filter(|pixel| pixel[..3] == impossible).count();
         assert_eq!(seen_through, 0, "{longitude} {latitude} {altitude}");
     }
+}
+
+/// DESIGN §7: under 0.05 px of jitter from 1 m to 10⁷ m: no pixel's place is farther off its ray,
+/// wherever the eye happens to stand.
+#[test]
+fn nothing_jitters_from_a_meter_to_ten_million() {
+    for body in [Ellipsoid::WGS84, mars()] {
+        let selection = planet(body);
+        let surface = Surface::new(&selection);
+        let mut renderer = Renderer::new(gpu(), body);
+        for (i, altitude) in [1.0, 3.0, 50.0, 2e3, 1e5, 1e7].into_iter().enumerate() {
+            let place = at(100.0 / 7.0 + i as f64, [-33.3, 89.999_9, 51.4][i % 3]);
+            let ground = surface.compose(Kind::Height, place, 0.0).unwrap().value[0];
+            let pitch = if altitude < 1e4 { -25.0 } else { -90.0 };
+            let eye = Meters(ground + altitude);
+            let pose = Pose::from_eye(&body, place, eye, Radians(0.7), Degrees(pitch).into());
+            let view = pose.view(Degrees(40.0).into(), [480, 320], 1.0);
+            renderer.render(&view, &selection, &LIGHT, &Options::default());
+            let aovs = renderer.read_aovs();
+            let caster = Caster { view: &view, body, surface: &surface };
+            let mut off_ray_px = Vec::new();
+            for (index, (x, y)) in (0..320).flat_map(|y| (0..480).map(move |x| (x, y))).enumerate()
+            {
+                let shown = DVec3::from_array(aovs.position[index]) - view.eye;
+                if shown.is_finite() {
+                    let off = shown.cross(caster.direction(x, y)).length() / shown.length();
+                    off_ray_px.push(off / pixel_angle(&view));
+                }
+            }
+            let (most, worst) = (quantile(&mut off_ray_px, 0.999), quantile(&mut off_ray_px, 1.0));
+            println!("{altitude} m: off ray {most:.4} px, at worst {worst:.4} px");
+            assert!(off_ray_px.len() > 10_000 && most < 0.05, "{altitude} m: {most} px");
+        }
+    }
+}
+
+/// With pages missing here and there, their ancestors stand in on the GPU as on the CPU.
+#[test]
+fn ancestors_stand_in_for_missing_pages() {
+    let mut selection = planet(mars());
+    let mut count = 0_u32;
+    selection.pages.retain(|page| {
+        count = count.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        page.entry.page.level.0 == 0 || count >> 30 != 0
+    });
+    let pose =
+        Pose::from_eye(&mars(), at(60.0, 55.0), Meters(8e5), Radians(0.3), Degrees(-80.0).into());
+    let view = pose.view(Degrees(50.0).into(), [SIDE; 2], 1.0);
+    let mut renderer = Renderer::new(gpu(), mars());
+    renderer.render(&view, &selection, &LIGHT, &Options::default());
+    let aovs = renderer.read_aovs();
+    let surface = Surface::new(&selection);
+    let caster = Caster { view: &view, body: mars(), surface: &surface };
+    let mut off_m = Vec::new();
+    for (index, position) in aovs.position.iter().enumerate() {
+        let shown = DVec3::from_array(*position);
+        if shown.is_finite() {
+            let [longitude, latitude] = aovs.geographic[index];
+            let there = caster.height(at(longitude, latitude), (shown - view.eye).length());
+            off_m.push((f64::from(aovs.height_m[index]) - there).abs());
+        }
+    }
+    let (most, worst) = (quantile(&mut off_m, 0.999), quantile(&mut off_m, 1.0));
+    assert!(off_m.len() > 20_000 && most < 0.1, "{most} m, at worst {worst} m");
+}
+
+const SIDES_PROBE: &str = "
+@group(2) @binding(0) var<storage, read_write> answers: array<vec4u>;
+@compute @workgroup_size(64)
+fn probe(@builtin(global_invocation_id) id: vec3u) {
+    let per_patch = u32(3 * (SEGMENTS + 1));
+    let patch_index = id.x / per_patch;
+    if id.x >= arrayLength(&answers) { return; }
+    let side = i32(id.x % per_patch) / (SEGMENTS + 1);
+    let step = i32(id.x % per_patch) % (SEGMENTS + 1);
+    var steps = vec2i(step, 0);
+    if side == 1 { steps = vec2i(SEGMENTS - step, step); }
+    if side == 2 { steps = vec2i(0, SEGMENTS - step); }
+    answers[id.x] = bitcast<vec4u>(vertex_of(patch_index, steps).clip);
+}
+";
+
+/// Every vertex of every side is the same to the bit on both sides, also where a finer patch meets
+/// a coarser one, and where corners of several patches meet: nothing can open.
+#[test]
+fn neighbors_meet_to_the_bit() {
+    use std::collections::HashMap;
+
+    let steps = crate::mesh::detail::SEGMENTS as usize;
+    let selection = planet(Ellipsoid::WGS84);
+    let mut renderer = Renderer::new(gpu(), Ellipsoid::WGS84);
+    let options = Options { vertical_exaggeration: 5.0, ..Options::default() };
+    let mut halves_in_all = 0;
+    for (longitude, latitude, altitude) in
+        [(10.0, 20.0, 4e6), (-180.0, 89.9, 9e3), (36.0, 0.0, 4e4)]
+    {
+        let pose = Pose::from_eye(
+            &Ellipsoid::WGS84,
+            at(longitude, latitude),
+            Meters(altitude),
+            Radians(0.4),
+            Degrees(-20.0).into(),
+        );
+        let view = pose.view(Degrees(60.0).into(), [256; 2], 1.0);
+        renderer.render(&view, &selection, &LIGHT, &options);
+        let mesh = renderer.mesh();
+        let count = mesh.patches.len() * 3 * (steps + 1);
+        let source = Program::Mesh.source() + SIDES_PROBE;
+        let workgroups = u32::try_from(count.div_ceil(64)).unwrap();
+        let bytes = renderer.probe(&source, 16 * count as u64, workgroups);
+        let vertices: &[[u32; 4]] = bytemuck::cast_slice(&bytes);
+
+        let mut on_edge: HashMap<(u32, usize), [u32; 4]> = HashMap::new();
+        let mut at_corner: HashMap<u32, [u32; 4]> = HashMap::new();
+        let mut halves = 0;
+        for (patch, sides) in mesh.patches.iter().zip(vertices.chunks(3 * (steps + 1))) {
+            for (side, vertices) in sides.chunks(steps + 1).enumerate() {
+                let ends = patch.sides >> (4 * side);
+                let (first, last) = ((ends & 3) as usize, (ends >> 2 & 3) as usize);
+                let edge = &mesh.edges[patch.edges[side] as usize];
+                halves += usize::from(first.abs_diff(last) == 1);
+                for (step, &vertex) in vertices.iter().enumerate() {
+                    // Off the vertices of the coarser neighbor, a vertex falls on the one before.
+                    let step = if first.abs_diff(last) == 1 { step - step % 2 } else { step };
+                    let own = (first * (steps - step) + last * step) / 2;
+                    assert_eq!(*on_edge.entry((patch.edges[side], own)).or_insert(vertex), vertex);
+                    if 2 * own % steps == 0 {
+                        let corner = edge.frames[2 * own / steps];
+                        assert_eq!(*at_corner.entry(corner).or_insert(vertex), vertex);
+                    }
+                }
+            }
+        }
+        halves_in_all += halves;
+    }
+    assert!(halves_in_all > 50, "only {halves_in_all} sides meet coarser ones");
 }

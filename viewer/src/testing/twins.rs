@@ -150,7 +150,7 @@ fn places_are_found_to_a_sixteenth_of_a_texel() {
             let there = (normal + axes * d.as_dvec3()).normalize();
             let place = geographic_from_normal(there);
             let Some(found) = grid.locate(finest, place) else { continue };
-            let anchor = map.anchor(&axes);
+            let anchor = map.anchor(&axes, 0.5);
             if anchor.texel[0] == i32::MIN {
                 continue;
             }
