@@ -73,6 +73,11 @@ impl Detail {
         self.exaggeration = exaggeration;
     }
 
+    /// The highest exaggerated terrain, or 0.
+    pub(crate) fn highest_m(&self) -> f64 {
+        self.range_m.1
+    }
+
     /// The height of the finest surface at a normal, rounded once for all users.
     #[expect(clippy::cast_possible_truncation, reason = "rounded on purpose")]
     pub(crate) fn height_m(&mut self, surface: &Surface, normal: DVec3) -> f32 {

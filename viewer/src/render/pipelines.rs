@@ -146,7 +146,7 @@ fn mesh_pipeline(gpu: &Gpu, groups: &[&wgpu::BindGroupLayout]) -> wgpu::RenderPi
         },
         primitive: wgpu::PrimitiveState {
             front_face: wgpu::FrontFace::Ccw,
-            cull_mode: None,
+            cull_mode: Some(wgpu::Face::Back),
             ..Default::default()
         },
         depth_stencil: Some(wgpu::DepthStencilState {

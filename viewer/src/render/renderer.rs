@@ -76,7 +76,7 @@ pub struct FrameStatistics {
     pub left_out_pages: usize,
 }
 
-/// Meters to the near plane.
+/// Meters to the near plane where terrain may be about the eye.
 const NEAR_M: f64 = 0.05;
 
 /// Bytes of each atlas.
@@ -268,6 +268,8 @@ impl Renderer {
     #[expect(clippy::cast_possible_truncation, reason = "angles, factors and the body's radius")]
     fn write_scene(&mut self, view: &View, light: &Light, options: &Options) {
         let tangent = (view.vertical_fov.0 / 2.0).tan();
+        // GL maps depth to [-1, 1] and loses what a reversed depth gains: keep the plane far out.
+        let clearance_m = view.eye.length() - self.ellipsoid.a().0 - self.detail.highest_m();
         let aspect = f64::from(view.viewport[0]) / f64::from(view.viewport[1]);
         let axis = |axis: DVec3| axis.as_vec3().to_array();
         let scene = mirror::Scene {
@@ -276,7 +278,7 @@ impl Renderer {
             up: axis(view.orientation.y_axis),
             focal_y: (1.0 / tangent) as f32,
             backward: axis(view.orientation.z_axis),
-            near: NEAR_M as f32,
+            near: (0.5 * clearance_m).max(NEAR_M) as f32,
             sun: axis(light.toward_sun.normalize()),
             ambient: light.ambient as f32,
             background: options.background.map(|code| f32::from(code) / 255.0),

@@ -90,7 +90,13 @@ fn gallery_of_mars() {
     println!("{}", gpu.description());
     let mut renderer = Renderer::new(&gpu, body);
     let at = |longitude, latitude| Geographic::from_degrees(Degrees(longitude), Degrees(latitude));
+    let mut relief = mars().1;
+    relief.pages.retain(|page| relief.datasets[page.dataset].kind == Kind::Height);
+    relief.generation = 2;
     let scenes = [
+        ("relief_pole", at(0.0, 90.0), 2.5e6, 0.0, -90.0, 45.0, 4.0),
+        ("relief_south", at(90.0, -89.9), 4e5, 0.0, -60.0, 45.0, 2.0),
+        ("relief_meridian", at(180.0, 3.0), 1.5e6, 0.0, -90.0, 45.0, 4.0),
         ("disc", at(-70.0, -5.0), 9e6, 0.0, -90.0, 45.0, 1.0),
         ("pole", at(0.0, 90.0), 3e6, 0.0, -90.0, 45.0, 1.0),
         ("south", at(30.0, -89.0), 1.5e6, 0.0, -90.0, 45.0, 1.0),
@@ -110,12 +116,13 @@ fn gallery_of_mars() {
         let view = pose.view(Degrees(fov).into(), [1280, 720], 1.0);
         let sun = surface_normal(Geographic {
             longitude: Radians(place.longitude.0 - 0.9),
-            latitude: Radians(0.3),
+            latitude: Radians(0.7 * place.latitude.0),
         });
         let light = Light { toward_sun: sun, ambient: 0.05 };
         let options = Options { vertical_exaggeration: exaggeration, ..Options::default() };
         let start = std::time::Instant::now();
-        let first = renderer.render(&view, &selection, &light, &options);
+        let selection = if name.starts_with("relief") { &relief } else { &selection };
+        let first = renderer.render(&view, selection, &light, &options);
         let built = start.elapsed();
         let picture = renderer.read_color();
         println!("{name}: {first:?} cpu {built:?} all {:?}", start.elapsed());

@@ -201,10 +201,7 @@ impl<U: FnMut(&View) -> Arc<Selection>> Viewer<U> {
             self.orbit.turn(Radians(by.x * TURN_PER_PX), Radians(-by.y * TURN_PER_PX));
         } else if self.pointer.left {
             self.orbit.drag(by.x, by.y, self.pixel_angle());
-        } else {
-            return;
         }
-        self.ask_for_a_frame();
     }
 
     fn pressed(&mut self, event_loop: &ActiveEventLoop, key: &Key) {
@@ -222,14 +219,7 @@ impl<U: FnMut(&View) -> Arc<Selection>> Viewer<U> {
                 let next = 2.0 * self.drawing.vertical_exaggeration;
                 self.drawing.vertical_exaggeration = if next > 8.0 { 1.0 } else { next };
             }
-            _ => return,
-        }
-        self.ask_for_a_frame();
-    }
-
-    fn ask_for_a_frame(&self) {
-        if let Some(stage) = &self.stage {
-            stage.presenter.window().request_redraw();
+            _ => {}
         }
     }
 }
@@ -255,7 +245,6 @@ impl<U: FnMut(&View) -> Arc<Selection>> ApplicationHandler for Viewer<U> {
                 if let Some(stage) = &mut self.stage {
                     stage.presenter.resize(size.width, size.height);
                 }
-                self.ask_for_a_frame();
             }
             WindowEvent::RedrawRequested => {
                 // What the window showed may be gone: an equal frame counts as a new one.
@@ -281,7 +270,6 @@ impl<U: FnMut(&View) -> Arc<Selection>> ApplicationHandler for Viewer<U> {
                     MouseScrollDelta::PixelDelta(pixels) => pixels.y / PX_PER_NOTCH,
                 };
                 self.orbit.zoom(NOTCH.powf(notches));
-                self.ask_for_a_frame();
             }
             WindowEvent::ModifiersChanged(modifiers) => {
                 self.pointer.modifiers = modifiers.state();
@@ -293,6 +281,7 @@ impl<U: FnMut(&View) -> Arc<Selection>> ApplicationHandler for Viewer<U> {
         }
     }
 
+    /// After the events of a turn: what they changed shows in the view.
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
         self.draw();
         let busy = self.stage.as_ref().is_some_and(|stage| stage.unfinished || stage.missing);

@@ -42,10 +42,6 @@ impl Presenter {
         &self.gpu
     }
 
-    pub(super) fn window(&self) -> &Window {
-        &self.window
-    }
-
     /// Pixels of the surface, at least one a side.
     pub(super) fn viewport(&self) -> [u32; 2] {
         [self.configuration.width, self.configuration.height]
