@@ -27,6 +27,8 @@ enum Command {
     Height(crate::height::Args),
     Verify(crate::verify::Args),
     Remove(crate::remove::Args),
+    #[cfg(feature = "viewer")]
+    Snapshot(crate::snapshot::Args),
 }
 
 impl Cli {
@@ -38,6 +40,8 @@ impl Cli {
             Command::Height(args) => args.run(),
             Command::Verify(args) => args.run(),
             Command::Remove(args) => args.run(),
+            #[cfg(feature = "viewer")]
+            Command::Snapshot(args) => args.run(),
         }
     }
 }

@@ -10,6 +10,8 @@ mod output;
 mod page;
 mod remove;
 mod resources;
+#[cfg(feature = "viewer")]
+mod snapshot;
 mod verify;
 
 use std::process::ExitCode;

@@ -153,9 +153,9 @@ impl Cache {
     pub fn insert(&self, info: DatasetInfo, archive: Arc<Archive>) -> Result<(), CacheError> {
         loop {
             let before = self.engine.shared().scene();
-            let after = before.with(info.clone(), Arc::clone(&archive)).map_err(|source| {
-                CacheError::Index { dataset: info.name.clone(), source }
-            })?;
+            let after = before
+                .with(info.clone(), Arc::clone(&archive))
+                .map_err(|source| CacheError::Index { dataset: info.name.clone(), source })?;
             if self.engine.shared().replace_scene(&before, after) {
                 return Ok(());
             }

@@ -75,9 +75,10 @@ impl Scene {
         let moved = scene.heights != self.heights;
         let first = if moved { 0 } else { self.datasets.len() };
         for place in first..scene.datasets.len() {
-            let whole = scene.datasets[place].roots.iter().fold(Aabb::EMPTY, |whole, root| {
-                whole.union(&scene.volume(place, root).aabb())
-            });
+            let whole = scene.datasets[place]
+                .roots
+                .iter()
+                .fold(Aabb::EMPTY, |whole, root| whole.union(&scene.volume(place, root).aabb()));
             let item = u32::try_from(place).expect("fewer than 2^32 datasets");
             scene.tree.insert(item, whole);
         }

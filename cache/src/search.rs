@@ -118,7 +118,12 @@ pub(crate) fn search(scene: &Scene, memo: &mut Memo, view: &View, allowance: usi
         let known = !nodes.is_empty();
         children.clear();
         for &node in nodes {
-            children.extend(search.look_at(parent.dataset, node, Some((place, parent)), &mut found));
+            children.extend(search.look_at(
+                parent.dataset,
+                node,
+                Some((place, parent)),
+                &mut found,
+            ));
         }
         let more: usize = children
             .iter()
@@ -137,6 +142,7 @@ pub(crate) fn search(scene: &Scene, memo: &mut Memo, view: &View, allowance: usi
             }
         }
     }
+    search.drop_unseen(memo, &mut found);
     memo.end();
     found
 }
@@ -148,6 +154,9 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
+    /// Boxes are thick whose height is more than this part of their width.
+    const THICK: f64 = 12.0;
+
     /// The roots in sight, through the tree over the datasets.
     fn roots(&self, found: &mut Found) -> Vec<Seen> {
         let greatest = self.scene.greatest_radius();
@@ -171,6 +180,32 @@ impl Search<'_> {
         roots
     }
 
+    /// Drops wanted pages of which no child is in sight: a thick box reaches around corners that
+    /// its four parts do not. Children without data say nothing about what the page shows there.
+    fn drop_unseen(&self, memo: &mut Memo, found: &mut Found) {
+        let mut wanted = std::mem::take(&mut found.wanted);
+        wanted.retain(|&place| {
+            let Seen { dataset, node, .. } = found.seen[place];
+            let half = node.volume.bounds().half;
+            let (page, pyramid) = (node.entry.page, self.scene.infos[dataset].grid.pyramid());
+            if page.level == pyramid.finest() || Self::THICK * half.z < half.x.min(half.y) {
+                return true;
+            }
+            let Some(children) = memo.children(self.scene, dataset, page) else { return true };
+            found.visited += children.len();
+            let known = children.len() == pyramid.children(page).count();
+            let unseen = known && children.iter().all(|child| self.is_out_of_sight(child));
+            found.culled += usize::from(unseen);
+            !unseen
+        });
+        found.wanted = wanted;
+    }
+
+    fn is_out_of_sight(&self, node: &Node) -> bool {
+        let hidden = self.horizon.is_some_and(|horizon| node.volume.hidden_by(&horizon));
+        hidden || node.volume.outside(&self.lens.frustum) || node.entry.valid_fraction <= 0.0
+    }
+
     /// A page as it is seen, or `None` if it is not.
     fn look_at(
         &self,
@@ -181,8 +216,7 @@ impl Search<'_> {
     ) -> Option<Seen> {
         found.visited += 1;
         let volume = &node.volume;
-        let hidden = self.horizon.is_some_and(|horizon| volume.hidden_by(&horizon));
-        if hidden || volume.outside(&self.lens.frustum) || node.entry.valid_fraction <= 0.0 {
+        if self.is_out_of_sight(&node) {
             found.culled += 1;
             return None;
         }

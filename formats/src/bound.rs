@@ -22,9 +22,9 @@
 //!   o---o---o
 //! ```
 //!
-//! Where a tap of `R_{l+1}` is missing but none of `R_l` is, the chain breaks; there the taps of
-//! `R_l` are held against the least and greatest *finest* texels under the child cell and its eight
-//! neighbors ([`Span`]), which contain every tap of `R_L` in the cell.
+//! Where a tap of `R_{l+1}` is missing but none of `R_l` is, the chain breaks; on the quarters and
+//! edges that meet there `R_l` is held against the least and greatest *finest* texels under the
+//! child cell and its eight neighbors ([`Span`]), which contain every tap of `R_L` in the cell.
 //!
 //! # Precision
 //!
@@ -333,37 +333,40 @@ fn careful(
     rounding: f64,
 ) -> (f64, f64) {
     let interior = parent.side - 2;
-    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-    for (down, across) in LATTICE {
+    let coarse = LATTICE.map(|(down, across)| {
         let (top, bottom, below) = parent_taps(child.row * interior + row, down);
         let (left, right, beside) = parent_taps(child.col * interior + col, across);
-        let coarse_taps = [
+        let taps = [
             (top, left, (1.0 - below) * (1.0 - beside)),
             (top, right, (1.0 - below) * beside),
             (bottom, left, below * (1.0 - beside)),
             (bottom, right, below * beside),
         ];
-        let weighing = coarse_taps.iter().filter(|tap| tap.2 > 0.0);
-        let coarse: f64 = weighing.clone().map(|&(r, c, weight)| weight * parent.at(r, c)).sum();
-        if coarse.is_nan() {
-            continue;
-        }
+        let weighing = taps.iter().filter(|tap| tap.2 > 0.0);
+        weighing.map(|&(r, c, weight)| weight * parent.at(r, c)).sum::<f64>()
+    });
+    let (least, greatest) = finest_around(child.window, row, col);
+
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for ((down, across), here) in LATTICE.into_iter().zip(coarse) {
         let (top, bottom) = taps(row + 1, down);
         let (left, right) = taps(col + 1, across);
         let corners = [(top, left), (top, right), (bottom, left), (bottom, right)];
         let fine = corners.map(|(r, c)| child.window.at(r, c)).iter().sum::<f64>() / 4.0;
         if !fine.is_nan() {
-            low = low.min(coarse - fine + known.0 - rounding);
-            high = high.max(coarse - fine + known.1 + rounding);
+            if !here.is_nan() {
+                low = low.min(here - fine + known.0 - rounding);
+                high = high.max(here - fine + known.1 + rounding);
+            }
             continue;
         }
-        // The chain breaks: the taps of R_l against all that R_L may be in this cell.
-        let (least, greatest) = finest_around(child.window, row, col);
-        if least <= greatest {
-            for &(r, c, _) in weighing {
-                let tap = parent.at(r, c);
-                low = low.min(tap - greatest - rounding);
-                high = high.max(tap - least + rounding);
+        // The chain breaks on the quarters and edges that meet here. R_l is bilinear on each, so
+        // its extremes are at the points of the lattice beside this one; R_L may be anything.
+        for ((other_down, other_across), there) in LATTICE.into_iter().zip(coarse) {
+            let beside = other_down.abs_diff(down) <= 1 && other_across.abs_diff(across) <= 1;
+            if beside && !there.is_nan() && least <= greatest {
+                low = low.min(there - greatest - rounding);
+                high = high.max(there - least + rounding);
             }
         }
     }

@@ -48,7 +48,7 @@ pub struct Horizon {
     /// n, from the body's center to the eye.
     toward_eye: DVec3,
     radius2: f64,
-    /// `r² / d_c` and `√(1 - r² / d_c²)`.
+    /// r² / d and √(1 - r² / d²), with d the eye's distance from the center.
     plane: f64,
     sine: f64,
 }
@@ -73,8 +73,8 @@ impl Horizon {
     /// Whether the sphere hides everything that reaches no farther than `along` toward the eye, and
     /// `greatest_radius` from the body's center: DESIGN §5.
     ///
-    /// A point at the angle γ from n is hidden from γ₁ + γ₂ on, cos γ₁ = `r/d_c`, cos γ₂ = r/ρ; the
-    /// formula is the cosine of that sum, times ρ.
+    /// A point at the angle γ from n is hidden from γ₁ + γ₂ on, with cos γ₁ = r/d and cos γ₂ = r/ρ;
+    /// the formula is the cosine of that sum, times ρ.
     #[must_use]
     fn hides(&self, along: f64, greatest_radius: f64) -> bool {
         let over = (greatest_radius * greatest_radius - self.radius2).max(0.0).sqrt();

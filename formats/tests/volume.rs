@@ -1,6 +1,6 @@
 //! Volumes against brute force: points of many footprints at many heights.
 
-#![expect(clippy::unwrap_used, reason = "tests: a panic is a failure")]
+#![expect(clippy::unwrap_used, reason = "a failed test may panic")]
 
 use areoid_formats::address::PageAddress;
 use areoid_formats::body::{Body, Ellipsoid};
@@ -128,7 +128,16 @@ fn volumes_hold_their_points() {
 /// The box's radius against that of the sphere around the same center that the points need, and
 /// how much of the box's thickness is empty.
 #[test]
+#[expect(clippy::print_stdout, reason = "figures for whoever asks with --nocapture")]
 fn volumes_are_tight() {
+    let (start, mut made) = (std::time::Instant::now(), 0);
+    for (_, grid) in grids() {
+        for page in pages(&grid) {
+            std::hint::black_box(Volume::new(&grid, page, Meters(0.0), Meters(1.0)));
+            made += 1;
+        }
+    }
+    println!("{:?} a volume", start.elapsed() / made);
     for (name, grid) in grids() {
         let (mut worst, mut sum, mut count) = (1.0_f64, 0.0, 0.0);
         for page in pages(&grid) {
@@ -147,11 +156,7 @@ fn volumes_are_tight() {
             let limit = if page.level.0 == 0 { 1.35 } else { 1.12 };
             assert!(ratio < limit, "{name} {page}: {ratio}");
         }
-        assert!(
-            sum < 1.35 * count,
-            "{name}, {count} pages: mean {:.4}, worst {worst:.4}",
-            sum / count
-        );
+        println!("{name:35} {count:5} pages: mean {:.4}, worst {worst:.4}", sum / count);
     }
 }
 

@@ -132,11 +132,11 @@ impl Validity {
         let mut pass = |rows: &mut dyn Iterator<Item = usize>| {
             let mut above = vec![FAR; self.cols];
             for row in rows {
-                for col in 0..self.cols {
-                    let at = row * self.cols + col;
-                    let valid = self.valid[at];
-                    above[col] = if valid { (above[col] + 1).min(FAR) } else { 0 };
-                    distances[at] = distances[at].min(above[col]);
+                let at = row * self.cols..(row + 1) * self.cols;
+                let places = distances[at.clone()].iter_mut().zip(&self.valid[at]);
+                for ((distance, valid), above) in places.zip(&mut above) {
+                    *above = if *valid { (*above + 1).min(FAR) } else { 0 };
+                    *distance = (*distance).min(*above);
                 }
             }
         };

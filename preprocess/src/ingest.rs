@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use areoid_formats::archive::{Archive, Description, Source, SourceFile, Summary};
+use areoid_formats::archive::{Archive, Description, Source, SourceFile, Summary, Written};
 use areoid_formats::body::Body;
 use areoid_formats::catalog::{
     Build, Catalog, CatalogError, Disk, NewDataset, publish_build,
@@ -101,20 +101,20 @@ pub struct Outcome {
 pub enum IngestError {
     /// A raster cannot be read.
     #[error(transparent)]
-    Raster(#[from] RasterError),
+    Raster(Box<RasterError>),
     /// The rasters make no dataset.
     #[error(transparent)]
-    Mosaic(#[from] MosaicError),
+    Mosaic(Box<MosaicError>),
     /// The catalog refuses.
     #[error(transparent)]
-    Catalog(#[from] CatalogError),
+    Catalog(Box<CatalogError>),
     /// The archive cannot be built.
     #[error("cannot build {dataset}")]
     Build {
         /// The dataset.
         dataset: String,
         /// Why.
-        source: BuildError,
+        source: Box<BuildError>,
     },
     /// A step that heights cannot be stored on.
     #[error(transparent)]
@@ -126,6 +126,18 @@ pub enum IngestError {
     #[error("cannot start the threads: {0}")]
     Threads(String),
 }
+
+/// Boxed, because these errors are many times larger than what they are returned beside.
+macro_rules! boxed {
+    ($($error:ident: $variant:ident),*) => {$(
+        impl From<$error> for IngestError {
+            fn from(error: $error) -> Self {
+                Self::$variant(Box::new(error))
+            }
+        }
+    )*};
+}
+boxed!(RasterError: Raster, MosaicError: Mosaic, CatalogError: Catalog);
 
 /// Ingests; `watch` is called after each work unit.
 ///
@@ -164,24 +176,16 @@ pub fn ingest(
         return Ok(outcome);
     }
 
-    let build = Build::start(disk, &request.catalog, &description.dataset)?;
-    let threads = rayon::ThreadPoolBuilder::new()
-        .num_threads(request.threads.unwrap_or(0))
-        .build()
-        .map_err(|error| IngestError::Threads(error.to_string()))?;
-    let sink = BufWriter::with_capacity(1 << 20, build);
-    let built = threads.install(|| build::build(&description, &mosaic, sink, watch));
-    let (sink, written) = match built {
-        Ok(built) => built,
-        Err(source) => {
-            let dataset = description.dataset;
-            return Err(IngestError::Build { dataset, source });
+    let mut build = Build::start(disk, &request.catalog, &description.dataset)?;
+    let written = match write(request, &description, &mosaic, &mut build, watch) {
+        Ok(written) => written,
+        Err(error) => {
+            // What cannot be removed either is swept by the next build of this name; the first
+            // error says more.
+            let _ = build.discard();
+            return Err(error);
         }
     };
-    let build = sink.into_inner().map_err(|error| IngestError::Build {
-        dataset: description.dataset.clone(),
-        source: BuildError::Write(error.into_error()),
-    })?;
     outcome.generation = publish_build(
         build,
         NewDataset {
@@ -198,6 +202,29 @@ pub fn ingest(
     outcome.decoded_blocks = mosaic.decoded_blocks();
     outcome.seconds = start.elapsed().as_secs_f64();
     Ok(outcome)
+}
+
+/// Builds the archive in `build`, on threads of its own.
+fn write(
+    request: &Request,
+    description: &Description,
+    mosaic: &Mosaic,
+    build: &mut Build<'_>,
+    watch: impl FnMut(Progress) -> Proceed + Send,
+) -> Result<Written, IngestError> {
+    let failed = |source| IngestError::Build {
+        dataset: description.dataset.clone(),
+        source: Box::new(source),
+    };
+    let threads = rayon::ThreadPoolBuilder::new()
+        .num_threads(request.threads.unwrap_or(0))
+        .build()
+        .map_err(|error| IngestError::Threads(error.to_string()))?;
+    let sink = BufWriter::with_capacity(1 << 20, build);
+    let (sink, written) =
+        threads.install(|| build::build(description, mosaic, sink, watch)).map_err(failed)?;
+    sink.into_inner().map_err(|error| failed(BuildError::Write(error.into_error())))?;
+    Ok(written)
 }
 
 /// What the catalog has under the name of `description`, if that is the same dataset.

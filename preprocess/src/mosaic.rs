@@ -82,6 +82,10 @@ impl Mosaic {
     /// # Errors
     ///
     /// Any [`MosaicError`].
+    ///
+    /// # Panics
+    ///
+    /// Never: without a raster it fails.
     pub fn new(
         rasters: Vec<Arc<dyn Raster>>,
         crs: Crs,

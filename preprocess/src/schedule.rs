@@ -56,6 +56,10 @@ pub struct Schedule {
 impl Schedule {
     /// The schedule of `pyramid` in units of `unit_pages` leaves a side, with coverage that
     /// depends on the validity of everything up to `halo` texels away at the finest level.
+    ///
+    /// # Panics
+    ///
+    /// Never: every pyramid has a finest level.
     #[must_use]
     pub fn new(pyramid: &Pyramid, unit_pages: u32, halo: u32) -> Self {
         let (rows, cols) = pyramid.pages(pyramid.finest()).expect("a pyramid has a finest level");

@@ -1,1 +1,35 @@
-//! (to be written)
+//! Pages in, pixels out: one path for pictures without a window and with one.
+//!
+//! ```text
+//!   View, Selection ──▶ mesh (f64, CPU) ──▶ deferred buffer ──▶ composition, light ──▶ picture
+//! ```
+//!
+//! Modules stand in the order of their dependencies: a file uses only files above it.
+
+pub mod camera;
+
+pub mod orbit;
+
+mod mirror;
+
+mod shader;
+
+pub mod surface;
+
+mod map;
+
+mod mesh;
+
+mod gpu;
+
+mod atlas;
+
+mod render;
+
+pub mod window;
+
+#[cfg(test)]
+mod testing;
+
+pub use gpu::{Gpu, GpuError};
+pub use render::{Aovs, FrameStatistics, Image, Light, Options, Renderer};

@@ -6,7 +6,9 @@
 //! whole raster (planes after the first dropped, palettes refused, white-is-zero inverted, extra
 //! samples dropped before the predictor is undone) cannot happen.
 //!
-//! ZSTD is decompressed before the crate sees the chunk: its own decoder is a C library.
+//! ZSTD and LZW are decompressed before the crate sees the chunk: its ZSTD is a C library, and its
+//! LZW reader takes the end of some whole streams for an unexpected one (`tiff` 0.11.3: the last
+//! bytes come out when no input is left, which it calls no progress).
 
 use std::io::{Cursor, Read};
 
@@ -44,28 +46,46 @@ impl ChunkShape<'_> {
 
     /// Decodes a chunk of these bytes to `clipped` pixels.
     pub(super) fn decode(&self, chunk: &[u8]) -> Result<Samples, ChunkError> {
-        match self.compression {
-            Compression::Zstd => {
-                let limit = self.encoded_bytes();
-                let mut decoded = Vec::new();
-                ruzstd::decoding::StreamingDecoder::new(chunk)?
-                    .take(limit)
-                    .read_to_end(&mut decoded)?;
-                if (decoded.len() as u64) < limit {
-                    return Err(format!("{} bytes decode, not {limit}", decoded.len()).into());
-                }
-                return self.decode_plain(&decoded);
-            }
-            Compression::Jpeg => self.check_jpeg(chunk)?,
-            Compression::None | Compression::Lzw | Compression::Deflate | Compression::PackBits => {
-            }
-        }
         let greatest = self.compression.greatest_ratio();
         if (chunk.len() as u64).saturating_mul(greatest) < self.encoded_bytes() {
             let (found, wanted) = (chunk.len(), self.encoded_bytes());
             return Err(format!("{found} bytes cannot hold {wanted} of samples").into());
         }
+        match self.compression {
+            Compression::Zstd => return self.decode_plain(&self.unzstd(chunk)?),
+            Compression::Lzw => return self.decode_plain(&self.unlzw(chunk)?),
+            Compression::Jpeg => self.check_jpeg(chunk)?,
+            Compression::None | Compression::Deflate | Compression::PackBits => {}
+        }
         self.decode_plain(chunk)
+    }
+
+    fn unzstd(&self, chunk: &[u8]) -> Result<Vec<u8>, ChunkError> {
+        let limit = self.encoded_bytes();
+        let mut decoded = Vec::new();
+        ruzstd::decoding::StreamingDecoder::new(chunk)?.take(limit).read_to_end(&mut decoded)?;
+        if (decoded.len() as u64) < limit {
+            return Err(format!("{} bytes decode, not {limit}", decoded.len()).into());
+        }
+        Ok(decoded)
+    }
+
+    fn unlzw(&self, chunk: &[u8]) -> Result<Vec<u8>, ChunkError> {
+        let mut decoded = vec![0; usize::try_from(self.encoded_bytes())?];
+        let mut decoder = weezl::decode::Decoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8);
+        let (mut rest, mut done) = (chunk, 0);
+        while done < decoded.len() {
+            let step = decoder.decode_bytes(rest, &mut decoded[done..]);
+            (rest, done) = (&rest[step.consumed_in..], done + step.consumed_out);
+            let stuck = step.consumed_in == 0 && step.consumed_out == 0;
+            if matches!(step.status?, weezl::LzwStatus::Done) || stuck {
+                break;
+            }
+        }
+        if done < decoded.len() {
+            return Err(format!("{done} bytes decode, not {}", decoded.len()).into());
+        }
+        Ok(decoded)
     }
 
     fn decode_plain(&self, chunk: &[u8]) -> Result<Samples, ChunkError> {

@@ -111,9 +111,8 @@ impl Compression {
     /// The code that tells the `tiff` crate how to decode a chunk.
     pub(crate) const fn code(self) -> u16 {
         match self {
-            // ZSTD is undone before the crate sees the chunk.
-            Self::None | Self::Zstd => 1,
-            Self::Lzw => 5,
+            // ZSTD and LZW are undone before the crate sees the chunk.
+            Self::None | Self::Zstd | Self::Lzw => 1,
             Self::Jpeg => 7,
             Self::Deflate => 8,
             Self::PackBits => 32773,
@@ -125,7 +124,8 @@ impl Compression {
     /// decompressed piece by piece instead.
     pub(crate) const fn greatest_ratio(self) -> u64 {
         match self {
-            Self::None | Self::Zstd => 1,
+            Self::None => 1,
+            Self::Zstd => u64::MAX,
             Self::PackBits => 128,
             Self::Deflate => 1040,
             // LZW's longest string; and a JPEG block of 64 samples takes two bits at least.

@@ -179,7 +179,7 @@ impl TiffRaster {
     }
 
     /// Samples as bands: colours of palettes and of JPEG become red, green, blue.
-    fn into_bands(&self, samples: Samples) -> Samples {
+    fn bands_of(&self, samples: Samples) -> Samples {
         match (samples, &self.pixel.meaning) {
             (Samples::U8(mut values), Meaning::YCbCr) => {
                 for pixel in values.chunks_exact_mut(3) {
@@ -223,7 +223,7 @@ impl Raster for TiffRaster {
                 samples
             }
         };
-        Ok(Block { col, row, width, height, samples: self.into_bands(samples) })
+        Ok(Block { col, row, width, height, samples: self.bands_of(samples) })
     }
 }
 

@@ -228,7 +228,10 @@ impl TestTiff {
     /// The bytes of a row of a chunk, after prediction.
     fn row(&self, col: u32, row: u32, width: u32, bands: &[u16]) -> Vec<u8> {
         let pixels = (col..col + width).flat_map(|col| bands.iter().map(move |&band| (col, band)));
-        let values: Vec<f64> = pixels.map(|(col, band)| value_at(col, row, band)).collect();
+        // Tiles are padded with the raster's last pixels, as GDAL does.
+        let (last_col, last_row) = (self.size.0 - 1, self.size.1 - 1);
+        let value = |(col, band): (u32, u16)| value_at(col.min(last_col), row.min(last_row), band);
+        let values: Vec<f64> = pixels.map(value).collect();
         let mut bytes = Writer { order: self.order, bytes: Vec::new() };
         let bands = bands.len();
         match self.predictor {
@@ -264,6 +267,9 @@ impl TestTiff {
     fn compressed(&self, bytes: Vec<u8>) -> Vec<u8> {
         match self.compression {
             1 => bytes,
+            5 => weezl::encode::Encoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8)
+                .encode(&bytes)
+                .unwrap(),
             8 => stored_zlib(&bytes),
             // Runs of up to 128 bytes as they are.
             32773 => bytes

@@ -5,6 +5,7 @@ use super::*;
 use crate::raster::samples::SampleType;
 use crate::raster::tiff::directory::tags;
 use proptest::prelude::*;
+use std::io::{Seek, SeekFrom, Write};
 
 fn message(name: &str, bytes: &[u8]) -> String {
     match open_bytes(name, bytes) {
@@ -95,13 +96,12 @@ fn kinds() -> Vec<Vec<u8>> {
     .collect()
 }
 
-/// Reads what can be read of a file of these bytes, written to `path`.
-fn read_all(path: &Path, bytes: &[u8]) {
-    std::fs::write(path, bytes).unwrap();
+/// Reads what can be read of a file of `len` bytes.
+fn read_all(path: &Path, len: usize) {
     if let Ok(raster) = open(path, &ReadOptions::default()) {
         let (across, down) = raster.info().blocks();
-        assert!(u64::from(across) * u64::from(down) <= bytes.len() as u64);
-        blocks(&*raster).take(64).for_each(|block| drop(block));
+        assert!(u64::from(across) * u64::from(down) <= len as u64);
+        blocks(&*raster).take(64).for_each(drop);
     }
 }
 
@@ -110,18 +110,24 @@ fn every_byte_of_a_small_file_may_be_wrong() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.tif");
     for bytes in kinds() {
-        for at in 0..bytes.len() {
-            for wrong in [0, 0xff, bytes[at] ^ 1, bytes[at] ^ 0x80] {
-                let mut damaged = bytes.clone();
-                damaged[at] = wrong;
-                read_all(&path, &damaged);
+        std::fs::write(&path, &bytes).unwrap();
+        let mut file = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
+        let mut put = |at: usize, byte: u8| {
+            file.seek(SeekFrom::Start(at as u64)).unwrap();
+            file.write_all(&[byte]).unwrap();
+        };
+        for (at, &byte) in bytes.iter().enumerate() {
+            for wrong in [0xff, byte ^ 1, byte ^ 0x80] {
+                put(at, wrong);
+                read_all(&path, bytes.len());
             }
+            put(at, byte);
         }
     }
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(512))]
+    #![proptest_config(ProptestConfig::with_cases(256))]
 
     #[test]
     fn no_damage_panics(
@@ -138,6 +144,8 @@ proptest! {
             bytes.truncate(end.index(bytes.len()));
         }
         let folder = tempfile::tempdir().unwrap();
-        read_all(&folder.path().join("a.tif"), &bytes);
+        let path = folder.path().join("a.tif");
+        std::fs::write(&path, &bytes).unwrap();
+        read_all(&path, bytes.len());
     }
 }

@@ -1,0 +1,283 @@
+//! The search against brute force: every point that can be seen is under a wanted page, and the
+//! page shows it as well as asked for.
+
+use std::sync::LazyLock;
+
+use areoid_formats::address::PageAddress;
+use areoid_formats::grid::TexelPoint;
+use areoid_formats::units::Degrees;
+use proptest::prelude::*;
+
+use super::*;
+use crate::scene::Scene;
+use crate::search::{Found, Memo, search};
+
+fn scene(datasets: &[&Gated]) -> Scene {
+    let mut scene = Scene::empty(mars());
+    for dataset in datasets {
+        // Brings the whole index into memory.
+        dataset.archive.entries().unwrap();
+        scene = scene.with(dataset.info.clone(), Arc::clone(&dataset.archive)).unwrap();
+    }
+    scene
+}
+
+/// Points of a page's shell.
+fn points(dataset: &Gated, entry: &PageEntry, steps: u32) -> Vec<DVec3> {
+    let (grid, page) = (&dataset.info.grid, entry.page);
+    let interior = f64::from(grid.pyramid().interior());
+    let (rows, cols) = grid.pyramid().interior_size(page);
+    let mut points = Vec::new();
+    for step in 0..(steps + 1).pow(2) {
+        let (row, col) = (step / (steps + 1), step % (steps + 1));
+        let [row, col] = [row, col].map(|step| f64::from(step) / f64::from(steps));
+        let texel = TexelPoint {
+            x: f64::from(page.col) * interior + col * f64::from(cols),
+            y: f64::from(page.row) * interior + row * f64::from(rows),
+        };
+        let position = grid.geographic_from_texel(page.level, texel).unwrap();
+        for height in [entry.lowest, entry.highest] {
+            let height = Meters(f64::from(height));
+            points.push(mars().ellipsoid.cartesian_from_geographic(position, height));
+        }
+    }
+    points
+}
+
+/// Whether the body below all terrain stands between eye and point.
+fn hidden(eye: DVec3, point: DVec3, radius: f64) -> bool {
+    let sight = point - eye;
+    let nearest = (-eye.dot(sight) / sight.length_squared()).clamp(0.0, 1.0);
+    (eye + nearest * sight).length() < radius
+}
+
+/// Whether a point is in the picture and not behind the body.
+fn is_seen(scene: &Scene, view: &View, point: DVec3) -> bool {
+    let up = (view.vertical_fov.0 / 2.0).tan();
+    let right = up * f64::from(view.viewport[0]) / f64::from(view.viewport[1]);
+    let seen = view.orientation.transpose() * (point - view.eye);
+    let ahead = -seen.z;
+    let in_frustum = ahead > 0.0 && seen.x.abs() <= right * ahead && seen.y.abs() <= up * ahead;
+    in_frustum && !hidden(view.eye, point, scene.inscribed_radius().0)
+}
+
+fn wanted_over(found: &Found, dataset: usize, page: PageAddress) -> Option<usize> {
+    found.wanted.iter().copied().find(|&place| {
+        let seen = &found.seen[place];
+        let mut ancestor = Some(page);
+        while let Some(page) = ancestor {
+            if seen.dataset == dataset && seen.node.entry.page == page {
+                return true;
+            }
+            ancestor = page.parent();
+        }
+        false
+    })
+}
+
+/// Checks a view; returns the points seen.
+fn check(datasets: &[&Gated], scene: &Scene, view: &View) -> usize {
+    let mut memo = Memo::default();
+    let found = search(scene, &mut memo, view, usize::MAX);
+    assert!(found.unindexed.is_empty());
+    let up = (view.vertical_fov.0 / 2.0).tan();
+    let scale = f64::from(view.viewport[1]) / (2.0 * up);
+    let mut seen_points = 0;
+    for (place, dataset) in datasets.iter().enumerate() {
+        let finest = dataset.info.grid.pyramid().finest();
+        for entry in dataset.entries.iter().filter(|entry| entry.page.level == finest) {
+            for point in points(dataset, entry, 4) {
+                if !is_seen(scene, view, point) {
+                    continue;
+                }
+                seen_points += 1;
+                let Some(wanted) = wanted_over(&found, place, entry.page) else {
+                    panic!("{point} of {} is seen and culled", entry.page);
+                };
+                let wanted = &found.seen[wanted];
+                let sight = point - view.eye;
+                let cosine = sight.normalize().dot(view.axis());
+                let bound = f64::from(wanted.node.entry.bound);
+                let error = bound * scale / (sight.length() * cosine * cosine);
+                assert!(error <= view.tolerance_px * (1.0 + 1e-9), "{error} px at {point}");
+            }
+        }
+    }
+    for place in &found.wanted {
+        assert!(
+            found.seen[*place].pixels <= view.tolerance_px || {
+                let seen = &found.seen[*place];
+                seen.node.entry.page.level == scene.infos[seen.dataset].grid.pyramid().finest()
+            }
+        );
+    }
+    seen_points
+}
+
+#[test]
+fn named_views_cull_nothing_that_is_seen() {
+    let (globe, cap) =
+        (Gated::new("globe", globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height));
+    let scene = scene(&[&globe, &cap]);
+    for (longitude, latitude, altitude, pitch) in [
+        (0.0, 0.0, 1e7, 0.0),
+        (180.0, 10.0, 3e5, 70.0),
+        (-180.0, 0.0, 3e4, 85.0),
+        (0.0, 90.0, 5e5, 0.0),
+        (77.0, -90.0, 5e5, 30.0),
+        (30.0, 85.0, 2e4, 80.0),
+        (30.0, 40.0, 1e4, 100.0),
+    ] {
+        let seen = check(&[&globe, &cap], &scene, &view(longitude, latitude, altitude, pitch));
+        assert!(seen > 0 || pitch > 90.0, "{longitude} {latitude}");
+    }
+}
+
+/// From low over a plain, peaks behind the horizon of the reference surface are still seen.
+#[test]
+fn peaks_behind_the_horizon_are_wanted() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let scene = scene(&[&globe]);
+    let sphere = mars().ellipsoid.b().0;
+    let mut beyond = 0;
+    for heading in 0..12 {
+        let view = view(30.0 * f64::from(heading), 5.0, 2e3, 90.0);
+        check(&[&globe], &scene, &view);
+        let found = search(&scene, &mut Memo::default(), &view, usize::MAX);
+        let horizon = (view.eye.length_squared() - sphere * sphere).sqrt();
+        beyond +=
+            found.wanted.iter().filter(|&&place| found.seen[place].distance > horizon).count();
+    }
+    assert!(beyond > 0);
+}
+
+/// The globe and the cap, made once.
+fn both() -> (&'static Gated, &'static Gated) {
+    static BOTH: LazyLock<(Gated, Gated)> = LazyLock::new(|| {
+        (Gated::new("globe", globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height))
+    });
+    (&BOTH.0, &BOTH.1)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn no_view_culls_what_is_seen(
+        longitude in -180.0..180.0,
+        latitude in -90.0..90.0,
+        altitude in 3.5..7.3_f64,
+        pitch in 0.0..100.0,
+        fov in 5.0..110.0,
+        tolerance_px in 0.2..50.0,
+    ) {
+        let (globe, cap) = both();
+        let scene = scene(&[globe, cap]);
+        let view = View {
+            vertical_fov: Degrees(fov).into(),
+            tolerance_px,
+            ..view(longitude, latitude, 10.0_f64.powf(altitude), pitch)
+        };
+        check(&[globe, cap], &scene, &view);
+    }
+}
+
+#[test]
+fn an_allowance_raises_the_tolerance_to_what_fits() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let scene = scene(&[&globe]);
+    let view = view(10.0, 20.0, 4e5, 60.0);
+    let free = search(&scene, &mut Memo::default(), &view, usize::MAX);
+    assert_eq!(free.tolerance_px, 1.0);
+    let page = 66 * 66 * 4;
+    let mut last = (f64::INFINITY, 0);
+    for pages in [1, 3, 5, 9, 14, free.seen.len()] {
+        let found = search(&scene, &mut Memo::default(), &view, pages * page);
+        assert!(found.seen.len() <= pages);
+        assert!(found.tolerance_px <= last.0 && found.seen.len() >= last.1, "{pages}");
+        let worst = found.wanted.iter().map(|&place| found.seen[place]);
+        let finest = globe.info.grid.pyramid().finest();
+        for seen in worst.filter(|seen| seen.node.entry.page.level < finest) {
+            assert!(seen.pixels <= found.tolerance_px);
+        }
+        last = (found.tolerance_px, found.seen.len());
+    }
+    assert_eq!(last, (1.0, free.seen.len()));
+    let none = search(&scene, &mut Memo::default(), &view, page - 1);
+    assert!(none.seen.is_empty() && none.tolerance_px.is_infinite());
+}
+
+/// Colors follow their texels' size on the screen, down to the level whose bound says that the
+/// finer ones look the same.
+#[test]
+fn colors_stop_where_the_bound_says_so() {
+    let colors = Gated::new("color", globe(), Kind::Color);
+    let scene = scene(&[&colors]);
+    let levels = |altitude| {
+        let view = view(10.0, 20.0, altitude, 0.0);
+        let found = search(&scene, &mut Memo::default(), &view, usize::MAX);
+        let levels = found.wanted.iter().map(|&place| found.seen[place].node.entry.page.level.0);
+        levels.max().unwrap()
+    };
+    assert_eq!((levels(1e9), levels(1e8), levels(1e5)), (0, 1, 3));
+}
+
+#[test]
+fn what_is_remembered_changes_nothing() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let scene = scene(&[&globe]);
+    let mut memo = Memo::default();
+    for step in 0..40 {
+        let view = view(9.0 * f64::from(step), 30.0, 2e5, 75.0);
+        let remembered = search(&scene, &mut memo, &view, usize::MAX);
+        let fresh = search(&scene, &mut Memo::default(), &view, usize::MAX);
+        assert_eq!(remembered.wanted, fresh.wanted);
+        assert_eq!((remembered.visited, remembered.culled), (fresh.visited, fresh.culled));
+    }
+}
+
+/// 2,700 pages: of the wanted ones, few have no point in sight at all.
+#[test]
+#[expect(clippy::print_stdout, reason = "figures for whoever asks with --nocapture")]
+fn searches_want_little_more_than_is_seen() {
+    let outline = Outline {
+        origin: [-180.0, 90.0],
+        pixel_size: [360.0 / 4096.0; 2],
+        width: 4096,
+        height: 2048,
+    };
+    let crs = Crs::new(Projection::Geographic, mars().ellipsoid);
+    let fine = Grid::from_outline(crs, outline, 66).unwrap().grid;
+    let (globe, cap) =
+        (Gated::new("globe", fine, Kind::Height), Gated::new("cap", cap(), Kind::Height));
+    let (datasets, scene) = ([&globe, &cap], scene(&[&globe, &cap]));
+    let (mut all, mut needed) = (0, 0);
+    for (name, view) in [
+        ("globe", view(0.0, 0.0, 1e7, 0.0)),
+        ("near", view(30.0, 50.0, 4e5, 20.0)),
+        ("horizon", view(0.0, 0.0, 2e4, 80.0)),
+        ("pole", view(0.0, 89.9, 2e4, 80.0)),
+    ] {
+        let mut memo = Memo::default();
+        let start = std::time::Instant::now();
+        let found = search(&scene, &mut memo, &view, usize::MAX);
+        let cold = start.elapsed();
+        let start = std::time::Instant::now();
+        for _ in 0..20 {
+            search(&scene, &mut memo, &view, usize::MAX);
+        }
+        let warm = start.elapsed() / 20;
+        let in_sight = |place: &usize| {
+            let seen = &found.seen[*place];
+            let mut points = points(datasets[seen.dataset], &seen.node.entry, 32).into_iter();
+            points.any(|point| is_seen(&scene, &view, point))
+        };
+        let seen = found.wanted.iter().filter(|place| in_sight(place)).count();
+        let (visited, wanted) = (found.visited, found.wanted.len());
+        println!(
+            "{name}: {visited} visited, {wanted} wanted, {seen} in sight, {cold:?} cold, {warm:?} warm"
+        );
+        (all, needed) = (all + wanted, needed + seen);
+    }
+    assert!(all as f64 <= 1.5 * f64::from(u32::try_from(needed).unwrap()), "{all} for {needed}");
+}

@@ -1,0 +1,81 @@
+//! Catalogs on disk.
+
+use std::io::Write;
+
+use areoid_formats::catalog::{Build, NewDataset, RealDisk, publish_build};
+
+use super::*;
+use crate::CacheError;
+
+const OPTIONS: Options = Options { budget_bytes: 16 << 20, concurrent_loads: 2 };
+
+#[test]
+fn a_folder_without_a_catalog_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = Cache::open(folder.path(), OPTIONS).wait().unwrap_err();
+    assert!(matches!(error, CacheError::Catalog(_)), "{error}");
+}
+
+/// Two datasets, then the archive of one is damaged beyond reading: the other still opens.
+#[test]
+fn a_catalog_opens_with_what_can_be_read() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, grid) in [("globe", globe()), ("cap", cap())] {
+        let (description, bytes) = planet(name, grid, Kind::Height);
+        let mut build = Build::start(&RealDisk, folder.path(), name).unwrap();
+        build.write_all(&bytes).unwrap();
+        let dataset = NewDataset {
+            name: name.to_owned(),
+            kind: Kind::Height,
+            priority: 3,
+            body: mars(),
+            bytes: bytes.len() as u64,
+            content: 7,
+            source: description.source,
+        };
+        publish_build(build, dataset).unwrap();
+    }
+    let opening = Cache::open(folder.path(), OPTIONS);
+    assert!(opening.progress().opened <= 2);
+    let cache = opening.wait().unwrap();
+    let names: Vec<_> = cache.datasets().iter().map(|info| info.name.clone()).collect();
+    assert_eq!((names, cache.problems().len()), (vec!["cap".to_owned(), "globe".to_owned()], 0));
+    let settled = cache.session().settle(&view(0.0, 88.0, 4e5, 0.0));
+    assert!(settled.missing == 0 && settled.pages.iter().any(|page| page.dataset == 0));
+
+    let archives = std::fs::read_dir(folder.path().join("archives")).unwrap();
+    let cap = archives
+        .map(|file| file.unwrap().path())
+        .find(|path| path.file_name().unwrap().to_str().unwrap().starts_with("cap"));
+    std::fs::write(cap.unwrap(), b"no archive").unwrap();
+    let cache = Cache::open(folder.path(), OPTIONS).wait().unwrap();
+    assert_eq!((cache.datasets().len(), cache.problems().len()), (1, 1));
+}
+
+#[tokio::test]
+async fn sessions_settle_on_any_runtime() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let cache = globe.cache(OPTIONS.budget_bytes, 2);
+    let mut session = cache.session();
+    let settled = session.settled(&view(0.0, 0.0, 1e6, 0.0)).await;
+    assert!(settled.missing == 0 && !settled.pages.is_empty());
+}
+
+/// An index without a summary is rebuilt by a loader, not by the frame.
+#[test]
+fn an_archive_without_its_end_is_read_through() {
+    let (description, mut bytes) = planet("globe", globe(), Kind::Height);
+    let len = bytes.len();
+    bytes[len - 20] ^= 1;
+    let archive = Archive::open(Box::new(bytes)).unwrap();
+    let info = DatasetInfo {
+        name: description.dataset,
+        kind: description.kind,
+        grid: description.grid,
+        priority: 0,
+    };
+    let cache = Cache::with_archives(mars(), vec![(info, Arc::new(archive))], OPTIONS).unwrap();
+    assert!(cache.problems().is_empty());
+    let settled = cache.session().settle(&view(0.0, 0.0, 1e6, 0.0));
+    assert!(settled.missing == 0 && !settled.pages.is_empty());
+}

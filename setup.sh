@@ -1,0 +1,37 @@
+#!/usr/bin/env bash
+# Installs the system packages that the viewer and its tests need, and says which and why.
+# Rust itself is expected to be there.
+set -euo pipefail
+
+needed=()
+need() { # package, file that shows it is there, reason
+    if ! compgen -G "$2" > /dev/null; then
+        echo "needed: $1 ($3)"
+        needed+=("$1")
+    fi
+}
+
+need mesa-vulkan-drivers '/usr/share/vulkan/icd.d/*' \
+    'a Vulkan driver: the viewer draws on the processor where there is no GPU'
+need gcc '/usr/bin/cc' 'the linker that Rust calls'
+need libc6-dev '/usr/include/stdio.h' 'what the linker links with'
+
+if [ ${#needed[@]} -eq 0 ]; then
+    echo "no system package is missing"
+    exit 0
+fi
+if ! command -v apt-get > /dev/null; then
+    echo "error: this is no Debian: install the packages above by hand, then run this again" >&2
+    exit 1
+fi
+as_root=()
+if [ "$(id -u)" -ne 0 ]; then
+    as_root=(sudo)
+fi
+export DEBIAN_FRONTEND=noninteractive
+install() {
+    "${as_root[@]}" apt-get -o DPkg::Lock::Timeout=300 update -qq &&
+        "${as_root[@]}" apt-get -o DPkg::Lock::Timeout=300 install -y -qq --no-install-recommends \
+            "${needed[@]}"
+}
+install || { sleep 20 && install; }

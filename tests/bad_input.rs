@@ -1,0 +1,264 @@
+//! Whatever is wrong with the input or the disk: one `error:` line with its cause, exit 1, and the
+//! catalog is as it was.
+
+#![expect(clippy::unwrap_used, reason = "a failed test may panic")]
+
+use std::fs;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use tempfile::TempDir;
+use tiff::encoder::TiffEncoder;
+use tiff::encoder::colortype::Gray32Float;
+use tiff::tags::Tag;
+
+const GEOGRAPHIC: [u16; 16] = [1, 1, 0, 3, 1024, 0, 1, 2, 1025, 0, 1, 1, 2048, 0, 1, 4326];
+const UTM: [u16; 16] = [1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, 32613];
+
+/// A GeoTIFF of `side * side` samples of 1 degree, or 1 meter, each.
+fn geotiff(side: u32, samples: &[f32], keys: &[u16]) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut bytes).unwrap();
+    let mut image = encoder.new_image::<Gray32Float>(side, side).unwrap();
+    let tags = image.encoder();
+    tags.write_tag(Tag::Unknown(33550), &[1.0_f64, 1.0, 0.0][..]).unwrap();
+    tags.write_tag(Tag::Unknown(33922), &[0.0_f64, 0.0, 0.0, 10.0, 50.0, 0.0][..]).unwrap();
+    tags.write_tag(Tag::Unknown(34735), keys).unwrap();
+    image.write_data(samples).unwrap();
+    bytes.into_inner()
+}
+
+fn good() -> Vec<u8> {
+    let samples: Vec<f32> = (0..1600_u16).map(f32::from).collect();
+    geotiff(40, &samples, &GEOGRAPHIC)
+}
+
+/// A folder with a catalog that has one dataset.
+struct Bench {
+    folder: TempDir,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let bench = Self { folder: TempDir::new().unwrap() };
+        fs::write(bench.path("good.tif"), good()).unwrap();
+        let made = bench.ingest(&["good.tif"]);
+        assert!(made.status.success(), "{made:?}");
+        bench
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn ingest(&self, arguments: &[&str]) -> Output {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_areoid"));
+        command.current_dir(self.folder.path()).arg("ingest").args(arguments);
+        command.args(["--catalog", "catalog"]).output().unwrap()
+    }
+
+    /// The names and contents of the catalog, but for the leftovers of a failed build.
+    fn catalog(&self) -> Vec<(PathBuf, Vec<u8>)> {
+        let mut files = Vec::new();
+        for folder in [self.path("catalog"), self.path("catalog/archives")] {
+            for entry in fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_file() {
+                    files.push((path.clone(), fs::read(path).unwrap()));
+                }
+            }
+        }
+        files.sort();
+        files
+    }
+
+    fn refuses(&self, arguments: &[&str], expected: &[&str]) {
+        let before = self.catalog();
+        let output = self.ingest(arguments);
+        assert_refused(&output, expected);
+        assert_eq!(self.catalog(), before, "{arguments:?} changed the catalog");
+    }
+
+    fn refuses_raster(&self, name: &str, bytes: &[u8], expected: &[&str]) {
+        fs::write(self.path(name), bytes).unwrap();
+        self.refuses(&[name], expected);
+    }
+}
+
+/// Exit 1, nothing on stdout, and one `error:` line that names all of `expected`; causes follow.
+fn assert_refused(output: &Output, expected: &[&str]) {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert!(output.stdout.is_empty(), "{output:?}");
+    assert!(stderr.starts_with("error: "), "{stderr}");
+    assert_eq!(stderr.matches("error: ").count(), 1, "{stderr}");
+    for line in stderr.lines().skip(1) {
+        assert!(line.starts_with("  caused by: "), "{stderr}");
+    }
+    for word in expected {
+        assert!(stderr.contains(word), "{word:?} is not in: {stderr}");
+    }
+}
+
+#[test]
+fn a_truncated_tiff_is_refused_wherever_it_ends() {
+    let bench = Bench::new();
+    let whole = good();
+    for length in [0, 1, 4, 7, 8, 9, 100, whole.len() / 2, whole.len() - 1] {
+        bench.refuses_raster("cut.tif", &whole[..length], &["cut.tif"]);
+    }
+}
+
+#[test]
+fn a_coordinate_system_out_of_reach_is_named() {
+    let bench = Bench::new();
+    let utm = geotiff(2, &[1.0; 4], &UTM);
+    bench.refuses_raster("utm.tif", &utm, &["utm.tif", "32613", "supported"]);
+    bench.refuses(&["good.tif", "--name", "x", "--crs", "EPSG:32613"], &["32613"]);
+    bench.refuses(&["good.tif", "--name", "x", "--crs", "nonsense"], &["nonsense"]);
+}
+
+#[test]
+fn a_text_file_is_no_raster() {
+    let bench = Bench::new();
+    bench.refuses_raster("notes.tif", b"Dear diary, today", &["notes.tif", "Dear diary"]);
+}
+
+#[test]
+fn a_raster_of_nothing_but_nan_is_no_dataset() {
+    let bench = Bench::new();
+    let nan = geotiff(40, &[f32::NAN; 1600], &GEOGRAPHIC);
+    bench.refuses_raster("nan.tif", &nan, &["nan", "no valid sample"]);
+}
+
+#[test]
+fn a_raster_without_pixels_is_refused() {
+    let bench = Bench::new();
+    let mut bytes = good();
+    // Entries of 12 bytes follow the directory's count; tag 256 is ImageWidth.
+    let directory = u32::from_le_bytes(bytes[4..8].try_into().unwrap()) as usize;
+    let entry = (directory + 2..bytes.len()).step_by(12).find(|&at| bytes[at..at + 2] == [0, 1]);
+    let value = entry.unwrap() + 8;
+    bytes[value..value + 4].fill(0);
+    bench.refuses_raster("empty.tif", &bytes, &["empty.tif", "0"]);
+}
+
+#[test]
+fn an_image_without_a_world_file_is_refused() {
+    let bench = Bench::new();
+    let path = bench.path("photo.png");
+    image::RgbImage::new(4, 4).save(path).unwrap();
+    bench.refuses(&["photo.png", "--body", "earth"], &["photo.png", "photo.pgw"]);
+}
+
+#[test]
+fn files_that_are_not_there_and_folders_are_refused() {
+    let bench = Bench::new();
+    bench.refuses(&["absent.tif"], &["absent.tif"]);
+    fs::create_dir(bench.path("folder.tif")).unwrap();
+    bench.refuses(&["folder.tif"], &["folder.tif"]);
+}
+
+#[test]
+fn another_body_is_refused() {
+    let bench = Bench::new();
+    bench.refuses(&["good.tif", "--name", "x", "--body", "moon"], &["moon", "1737400"]);
+    let moon = ["good.tif", "--name", "x", "--crs", "+proj=longlat +R=1737400 +no_defs"];
+    bench.refuses(&moon, &["earth", "moon", "one body"]);
+}
+
+#[test]
+fn a_name_taken_by_something_else_needs_force() {
+    let bench = Bench::new();
+    bench.refuses(&["good.tif", "--step-m", "10"], &["good", "--force"]);
+    bench.refuses(&["good.tif", "--name", "../x"], &["../x"]);
+    assert!(bench.ingest(&["good.tif", "--step-m", "10", "--force"]).status.success());
+    assert!(bench.ingest(&["good.tif", "--step-m", "10"]).status.success());
+}
+
+#[test]
+fn a_catalog_that_cannot_be_written_is_an_error() {
+    let bench = Bench::new();
+    // A file where the catalog's folder should be, which stops even the superuser.
+    fs::write(bench.path("occupied"), b"").unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_areoid"));
+    command.current_dir(bench.folder.path()).args(["ingest", "good.tif", "--catalog", "occupied"]);
+    assert_refused(&command.output().unwrap(), &["occupied"]);
+}
+
+/// A disk that fills up while the archive is written.
+#[test]
+fn a_full_disk_is_an_error_and_changes_nothing() {
+    let bench = Bench::new();
+    let before = bench.catalog();
+    let request = areoid_preprocess::ingest::Request {
+        rasters: vec![bench.path("good.tif")],
+        catalog: bench.path("catalog"),
+        name: Some("second".to_owned()),
+        kind: None,
+        step_m: None,
+        page_side: 18,
+        priority: 0,
+        threads: Some(1),
+        existing: areoid_preprocess::ingest::Existing::Keep,
+        reading: areoid_preprocess::ingest::Reading::default(),
+    };
+    let disk = FullDisk { room: std::sync::atomic::AtomicUsize::new(50_000) };
+    let proceed = |_| areoid_preprocess::build::Proceed::Yes;
+    let error = areoid_preprocess::ingest::ingest(&disk, &request, proceed).unwrap_err();
+    let causes = std::iter::successors(Some(&error as &dyn std::error::Error), |e| e.source());
+    let text: Vec<String> = causes.map(ToString::to_string).collect();
+    assert!(text.join(": ").contains("no space left"), "{text:?}");
+    assert_eq!(bench.catalog(), before);
+    assert!(Path::new(&bench.path("catalog/build")).read_dir().unwrap().next().is_none());
+}
+
+/// The file system with room for so many bytes more.
+struct FullDisk {
+    room: std::sync::atomic::AtomicUsize,
+}
+
+impl areoid_formats::catalog::Disk for FullDisk {
+    fn create_folders(&self, path: &Path) -> std::io::Result<()> {
+        areoid_formats::catalog::RealDisk.create_folders(path)
+    }
+
+    fn open_or_create(&self, path: &Path) -> std::io::Result<fs::File> {
+        areoid_formats::catalog::RealDisk.open_or_create(path)
+    }
+
+    fn truncate(&self, file: &fs::File) -> std::io::Result<()> {
+        areoid_formats::catalog::RealDisk.truncate(file)
+    }
+
+    fn append(&self, file: &mut fs::File, bytes: &[u8]) -> std::io::Result<()> {
+        let order = std::sync::atomic::Ordering::Relaxed;
+        let room = self.room.load(order);
+        if bytes.len() > room {
+            return Err(std::io::Error::new(std::io::ErrorKind::StorageFull, "no space left"));
+        }
+        self.room.store(room - bytes.len(), order);
+        areoid_formats::catalog::RealDisk.append(file, bytes)
+    }
+
+    fn sync_file(&self, file: &fs::File) -> std::io::Result<()> {
+        areoid_formats::catalog::RealDisk.sync_file(file)
+    }
+
+    fn sync_folder(&self, path: &Path) -> std::io::Result<()> {
+        areoid_formats::catalog::RealDisk.sync_folder(path)
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> std::io::Result<()> {
+        areoid_formats::catalog::RealDisk.rename(from, to)
+    }
+
+    fn link(&self, from: &Path, to: &Path) -> std::io::Result<()> {
+        areoid_formats::catalog::RealDisk.link(from, to)
+    }
+
+    fn remove(&self, path: &Path) -> std::io::Result<()> {
+        areoid_formats::catalog::RealDisk.remove(path)
+    }
+}

@@ -1,0 +1,276 @@
+//! The oracle: what every level holds, worked out anew and without haste from the words of
+//! DESIGN.md §1 and §4.
+//!
+//! Levels are counted in *halvings*: 0 is the finest. A level of k halvings has texels of 2^k
+//! finest texels. Whatever is asked outside a level is its extension.
+
+use super::raster::Raster;
+
+/// What lies past an edge of a level.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Edge {
+    /// The edge texel, over and over.
+    Repeat,
+    /// The pole lies on the outline.
+    PoleOnOutline,
+    /// The pole lies on the centers of the outermost finest texels.
+    PoleOnPosts,
+}
+
+/// The finest level's size and surroundings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Shape {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) wraps: bool,
+    pub(crate) north: Edge,
+    pub(crate) south: Edge,
+}
+
+/// One level as it should be stored.
+#[derive(Clone, Debug)]
+pub(crate) struct Level {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    /// One plane a channel; NaN where invalid.
+    pub(crate) planes: Vec<Vec<f32>>,
+    pub(crate) coverage: Vec<u8>,
+}
+
+/// All levels, finest first.
+#[derive(Debug)]
+pub(crate) struct Levels {
+    pub(crate) shape: Shape,
+    step: Option<(f64, f64)>,
+    levels: Vec<Level>,
+}
+
+impl Levels {
+    /// The levels of `raster` after up to `halvings` halvings.
+    pub(crate) fn new(raster: &Raster, halvings: usize) -> Self {
+        let shape = raster.shape;
+        let stored = |&height: &f32| match raster.step {
+            _ if height.is_nan() => f32::NAN,
+            Some(step) if raster.planes.len() == 1 => on_step(f64::from(height), step),
+            _ => height,
+        };
+        let planes: Vec<Vec<f32>> =
+            raster.planes.iter().map(|plane| plane.iter().map(stored).collect()).collect();
+        let mut finest =
+            Level { width: shape.width, height: shape.height, planes, coverage: Vec::new() };
+        finest.coverage = feather(shape, &finest.planes[0]);
+        let mut made = Self { shape, step: raster.step, levels: vec![finest] };
+        for _ in 0..halvings {
+            let coarser = made.halved(made.levels.last().unwrap());
+            made.levels.push(coarser);
+        }
+        made
+    }
+
+    pub(crate) fn level(&self, halvings: usize) -> &Level {
+        &self.levels[halvings]
+    }
+
+    pub(crate) fn count(&self) -> usize {
+        self.levels.len()
+    }
+
+    /// The mean of the valid children, on the step; coverage the mean of all that there are.
+    fn halved(&self, finer: &Level) -> Level {
+        let (width, height) = (finer.width.div_ceil(2), finer.height.div_ceil(2));
+        let mut planes = vec![vec![f32::NAN; width * height]; finer.planes.len()];
+        let mut coverage = vec![0; width * height];
+        for at in 0..width * height {
+            let (row, col) = (2 * (at / width), 2 * (at % width));
+            let children: Vec<usize> = [(0, 0), (0, 1), (1, 0), (1, 1)]
+                .into_iter()
+                .filter(|(down, right)| row + down < finer.height && col + right < finer.width)
+                .map(|(down, right)| (row + down) * finer.width + col + right)
+                .collect();
+            for (plane, below) in planes.iter_mut().zip(&finer.planes) {
+                let valid = children.iter().map(|&child| below[child]).filter(|t| !t.is_nan());
+                let valid: Vec<f64> = valid.map(f64::from).collect();
+                if !valid.is_empty() {
+                    plane[at] = self.mean(&valid, finer.planes.len());
+                }
+            }
+            let sum: f64 = children.iter().map(|&child| f64::from(finer.coverage[child])).sum();
+            let mean = sum / children.len() as f64;
+            // Full only where all are, invalid only where all are.
+            let nearest = (mean + 0.5).floor();
+            coverage[at] = match mean {
+                0.0 => 0,
+                255.0 => 255,
+                _ => nearest.clamp(1.0, 254.0) as u8,
+            };
+        }
+        Level { width, height, planes, coverage }
+    }
+
+    fn mean(&self, valid: &[f64], channels: usize) -> f32 {
+        let count = valid.len() as f64;
+        if channels == 1 {
+            let mean = valid.iter().sum::<f64>() / count;
+            return self.step.map_or(mean as f32, |step| on_step(mean, step));
+        }
+        let light = valid.iter().map(|&code| light_of_code(code)).sum::<f64>() / count;
+        code_of_light(light).round() as f32
+    }
+
+    /// The texel at any row and column of the extended level.
+    pub(crate) fn texel(&self, halvings: usize, channel: usize, row: i64, col: i64) -> f32 {
+        let level = &self.levels[halvings];
+        let plane = &level.planes[channel];
+        let taps = self.extended(halvings, row, col);
+        if let [(place, _)] = taps[..] {
+            return plane[place];
+        }
+        let valid = || taps.iter().filter(|&&(place, _)| level.coverage[place] != 0);
+        let weight: f64 = valid().map(|tap| tap.1).sum();
+        if weight < 1.0 / 512.0 {
+            return f32::NAN;
+        }
+        let sum: f64 = valid().map(|&(place, weight)| weight * f64::from(plane[place])).sum();
+        match self.step {
+            Some(step) if level.planes.len() == 1 => on_step(sum / weight, step),
+            _ if level.planes.len() == 1 => (sum / weight) as f32,
+            _ => (sum / weight).round_ties_even() as f32,
+        }
+    }
+
+    /// The coverage at any row and column of the extended level.
+    pub(crate) fn coverage(&self, halvings: usize, row: i64, col: i64) -> u8 {
+        let coverage = &self.levels[halvings].coverage;
+        let taps = self.extended(halvings, row, col);
+        if let [(place, _)] = taps[..] {
+            return coverage[place];
+        }
+        let sum: f64 = taps.iter().map(|&(at, weight)| weight * f64::from(coverage[at])).sum();
+        if sum == 0.0 { 0 } else { sum.round_ties_even().clamp(1.0, 255.0) as u8 }
+    }
+
+    /// Where a texel of the extended level comes from: places in the level, and their weights.
+    fn extended(&self, halvings: usize, row: i64, col: i64) -> Vec<(usize, f64)> {
+        let level = &self.levels[halvings];
+        let (width, height) = (level.width as i64, level.height as i64);
+        let mut turned = false;
+        let mut rows = vec![(row, 1.0)];
+        if !(0..height).contains(&row) {
+            // The texel's center in finest texels from the top, turned over poles until it is back.
+            let scale = (1_i64 << halvings) as f64;
+            let mut y = (row as f64 + 0.5) * scale;
+            let bottom = self.shape.height as f64;
+            let repeated = loop {
+                let (edge, pole) = match y {
+                    _ if y < 0.0 => (self.shape.north, [0.0, 0.5]),
+                    _ if y > bottom => (self.shape.south, [bottom, bottom - 0.5]),
+                    _ => break None,
+                };
+                match edge {
+                    Edge::Repeat => break Some(if y < 0.0 { 0 } else { height - 1 }),
+                    Edge::PoleOnOutline => y = 2.0 * pole[0] - y,
+                    Edge::PoleOnPosts => y = 2.0 * pole[1] - y,
+                }
+                turned = !turned;
+            };
+            rows = match repeated {
+                Some(row) => vec![(row, 1.0)],
+                None => {
+                    let t = (y / scale - 0.5).clamp(0.0, (height - 1) as f64);
+                    let below = t - t.floor();
+                    let pair = [(t.floor() as i64, 1.0 - below), (t.floor() as i64 + 1, below)];
+                    pair.into_iter().filter(|&(_, weight)| weight != 0.0).collect()
+                }
+            };
+        }
+        let col = match (self.shape.wraps, turned) {
+            (true, true) => (col + width / 2).rem_euclid(width),
+            (true, false) => col.rem_euclid(width),
+            (false, _) => col.clamp(0, width - 1),
+        };
+        rows.into_iter().map(|(row, weight)| ((row * width + col) as usize, weight)).collect()
+    }
+}
+
+/// The nearest value on the step, ties to even.
+pub(crate) fn on_step(value: f64, (step, offset): (f64, f64)) -> f32 {
+    (((value - offset) / step).round_ties_even() * step + offset) as f32
+}
+
+fn light_of_code(code: f64) -> f64 {
+    let encoded = code / 255.0;
+    if encoded <= 0.04045 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
+}
+
+fn code_of_light(light: f64) -> f64 {
+    let low = 12.92 * light;
+    255.0 * if low <= 0.04045 { low } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
+}
+
+/// Coverage of the finest level: the distance in texels from a texel's center to the edge of the
+/// nearest invalid texel, or place without any, over 32.
+pub(crate) fn feather(shape: Shape, plane: &[f32]) -> Vec<u8> {
+    const REACH: i64 = 33;
+    let (width, height) = (shape.width as i64, shape.height as i64);
+    let fold = |row: i64| -> Option<(i64, bool)> {
+        let (mut row, mut turned) = (row, false);
+        while !(0..height).contains(&row) {
+            row = match (row < 0, if row < 0 { shape.north } else { shape.south }) {
+                (_, Edge::Repeat) => return None,
+                (true, Edge::PoleOnOutline) => -1 - row,
+                (true, Edge::PoleOnPosts) => -row,
+                (false, Edge::PoleOnOutline) => 2 * height - 1 - row,
+                (false, Edge::PoleOnPosts) => 2 * height - 2 - row,
+            };
+            turned = !turned;
+        }
+        Some((row, turned))
+    };
+    let invalid = |row: i64, col: i64| -> bool {
+        let Some((row, turned)) = fold(row) else { return true };
+        let col = if turned { col + width / 2 } else { col };
+        if !shape.wraps && !(0..width).contains(&col) {
+            return true;
+        }
+        plane[(row * width + col.rem_euclid(width)) as usize].is_nan()
+    };
+
+    // Everything within reach, padded out, and how many invalid texels lie above and left of each.
+    let (across, down) = (width + 2 * REACH, height + 2 * REACH);
+    let padded: Vec<bool> = (0..across * down)
+        .map(|at| invalid(at / across - REACH, at % across - REACH))
+        .collect();
+    let mut sums = vec![0_u32; ((across + 1) * (down + 1)) as usize];
+    for row in 0..down {
+        let mut line = 0;
+        for col in 0..across {
+            line += u32::from(padded[(row * across + col) as usize]);
+            let above = sums[(row * (across + 1) + col + 1) as usize];
+            sums[((row + 1) * (across + 1) + col + 1) as usize] = above + line;
+        }
+    }
+    let any_near = |row: i64, col: i64| {
+        let side = 2 * REACH + 1;
+        let at = |row: i64, col: i64| sums[(row * (across + 1) + col) as usize];
+        at(row + side, col + side) + at(row, col) != at(row, col + side) + at(row + side, col)
+    };
+    let mut around: Vec<(i64, i64)> =
+        (-REACH..=REACH).flat_map(|y| (-REACH..=REACH).map(move |x| (y, x))).collect();
+    around.sort_by_key(|(y, x)| y * y + x * x);
+
+    let code = |row: i64, col: i64| {
+        if plane[(row * width + col) as usize].is_nan() {
+            return 0;
+        }
+        if !any_near(row, col) {
+            return 255;
+        }
+        let nearest = around.iter().find(|(y, x)| {
+            padded[((row + REACH + y) * across + col + REACH + x) as usize]
+        });
+        let &(y, x) = nearest.unwrap();
+        let distance = ((y * y + x * x) as f64).sqrt() - 0.5;
+        ((distance / 32.0).min(1.0) * 255.0).round().max(1.0) as u8
+    };
+    (0..width * height).map(|at| code(at / width, at % width)).collect()
+}

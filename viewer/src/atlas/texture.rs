@@ -1,0 +1,167 @@
+//! An atlas on the GPU: texture arrays of one page a layer, grown on demand up to a budget.
+
+use areoid_formats::page::{Kind, Page, Texels};
+
+use super::slots::{PageName, Placed, Slots};
+use crate::gpu::Gpu;
+
+/// Layers at first.
+const FIRST_LAYERS: u32 = 16;
+
+/// What of pages an atlas holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Plane {
+    label: &'static str,
+    format: wgpu::TextureFormat,
+    bytes_per_texel: u32,
+}
+
+const HEIGHTS: [Plane; 2] = [
+    Plane { label: "heights", format: wgpu::TextureFormat::R32Float, bytes_per_texel: 4 },
+    Plane { label: "height coverage", format: wgpu::TextureFormat::R8Uint, bytes_per_texel: 1 },
+];
+const COLORS: [Plane; 1] =
+    [Plane { label: "colors", format: wgpu::TextureFormat::Rgba8Unorm, bytes_per_texel: 4 }];
+
+/// The pages of one kind on the GPU.
+#[derive(Debug)]
+pub(crate) struct Atlas {
+    planes: &'static [Plane],
+    textures: Vec<wgpu::Texture>,
+    slots: Slots,
+    side: u32,
+    layers: u32,
+    most_layers: u32,
+    /// Texels on their way up; kept so that a page costs no allocation.
+    staging: Vec<u8>,
+}
+
+impl Atlas {
+    /// An atlas for pages of up to `side` texels, in at most `budget_bytes`.
+    pub(crate) fn new(gpu: &Gpu, kind: Kind, side: u32, budget_bytes: u64) -> Self {
+        let planes: &[Plane] = if kind == Kind::Height { &HEIGHTS } else { &COLORS };
+        let texel_bytes: u32 = planes.iter().map(|plane| plane.bytes_per_texel).sum();
+        let slot_bytes = u64::from(side) * u64::from(side) * u64::from(texel_bytes);
+        let affordable = u32::try_from(budget_bytes / slot_bytes).unwrap_or(u32::MAX);
+        let most = gpu.device.limits().max_texture_array_layers.min(1 << 16);
+        // A texture array of one layer would be bound as none.
+        let most_layers = affordable.clamp(2, most);
+        let layers = FIRST_LAYERS.min(most_layers);
+        let textures = planes.iter().map(|plane| texture(gpu, plane, side, layers)).collect();
+        let slots = Slots::new(layers);
+        Self { planes, textures, slots, side, layers, most_layers, staging: Vec::new() }
+    }
+
+    /// Texels along the side of a slot.
+    pub(crate) fn side(&self) -> u32 {
+        self.side
+    }
+
+    pub(crate) fn views(&self) -> Vec<wgpu::TextureView> {
+        let descriptor = wgpu::TextureViewDescriptor {
+            dimension: Some(wgpu::TextureViewDimension::D2Array),
+            ..Default::default()
+        };
+        self.textures.iter().map(|texture| texture.create_view(&descriptor)).collect()
+    }
+
+    pub(crate) fn next_turn(&mut self) {
+        self.slots.next_turn();
+    }
+
+    /// Marks a page as used and says where it is, if it is.
+    pub(crate) fn keep(&mut self, name: PageName) -> Option<u32> {
+        self.slots.keep(name)
+    }
+
+    /// The slot of a page, written if it is new, or `None` if the budget is spent on pages of this
+    /// turn. The textures change where the atlas grows: compare [`Self::layers`].
+    pub(crate) fn place(&mut self, gpu: &Gpu, name: PageName, page: &Page) -> Option<u32> {
+        let mut placed = self.slots.place(name);
+        if placed == Placed::Full && self.layers < self.most_layers {
+            self.grow(gpu);
+            placed = self.slots.place(name);
+        }
+        match placed {
+            Placed::Resident(slot) => Some(slot),
+            Placed::New(slot) => {
+                self.write(gpu, slot, page);
+                Some(slot)
+            }
+            Placed::Full => None,
+        }
+    }
+
+    /// Layers of the textures now.
+    pub(crate) fn layers(&self) -> u32 {
+        self.layers
+    }
+
+    fn grow(&mut self, gpu: &Gpu) {
+        let layers = (2 * self.layers).min(self.most_layers);
+        let descriptor = wgpu::CommandEncoderDescriptor { label: Some("grow an atlas") };
+        let mut encoder = gpu.device.create_command_encoder(&descriptor);
+        for (plane, old) in self.planes.iter().zip(&mut self.textures) {
+            let new = texture(gpu, plane, self.side, layers);
+            encoder.copy_texture_to_texture(old.as_image_copy(), new.as_image_copy(), old.size());
+            *old = new;
+        }
+        gpu.queue.submit([encoder.finish()]);
+        self.slots.grow(layers);
+        self.layers = layers;
+    }
+
+    fn write(&mut self, gpu: &Gpu, slot: u32, page: &Page) {
+        let side = u32::try_from(page.side()).expect("a page has at most 4096 texels a side");
+        for (plane, texture) in self.planes.iter().zip(&self.textures) {
+            self.staging.clear();
+            match (page.texels(), plane.format) {
+                (Texels::Height(texels), wgpu::TextureFormat::R32Float) => {
+                    let numbers = texels.iter().map(|h| if h.is_finite() { *h } else { 0.0 });
+                    self.staging.extend(numbers.flat_map(f32::to_le_bytes));
+                }
+                (Texels::Height(texels), _) => match page.coverage() {
+                    Some(coverage) => self.staging.extend_from_slice(coverage),
+                    None => self.staging.resize(texels.len(), u8::MAX),
+                },
+                (Texels::Color(texels), _) => {
+                    let count = texels.len();
+                    let coverage = |i| page.coverage().map_or(u8::MAX, |coverage| coverage[i]);
+                    let colors = (0..count).flat_map(|i| {
+                        let [red, green, blue] = texels[i];
+                        [red, green, blue, coverage(i)]
+                    });
+                    self.staging.extend(colors);
+                }
+            }
+            gpu.queue.write_texture(
+                wgpu::TexelCopyTextureInfo {
+                    origin: wgpu::Origin3d { x: 0, y: 0, z: slot },
+                    ..texture.as_image_copy()
+                },
+                &self.staging,
+                wgpu::TexelCopyBufferLayout {
+                    offset: 0,
+                    bytes_per_row: Some(side * plane.bytes_per_texel),
+                    rows_per_image: Some(side),
+                },
+                wgpu::Extent3d { width: side, height: side, depth_or_array_layers: 1 },
+            );
+        }
+    }
+}
+
+fn texture(gpu: &Gpu, plane: &Plane, side: u32, layers: u32) -> wgpu::Texture {
+    gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: Some(plane.label),
+        size: wgpu::Extent3d { width: side, height: side, depth_or_array_layers: layers },
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: plane.format,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING
+            | wgpu::TextureUsages::COPY_DST
+            | wgpu::TextureUsages::COPY_SRC,
+        view_formats: &[],
+    })
+}

@@ -1,0 +1,215 @@
+//! How fine a view wants the triangles to be, and which of them it cannot see.
+//!
+//! A patch splits while its vertices stand farther apart on the screen than the view asks for and
+//! than the texels that it samples are worth, or while its flat triangles leave the curved surface.
+//!
+//! # References
+//!
+//! * DESIGN §5: the horizon test, for an inscribed sphere below the lowest terrain.
+//! * Virtual Globes §12.1: error in pixels by distance; frustum planes.
+
+use std::collections::HashMap;
+
+use areoid_cache::View;
+use areoid_formats::address::PageAddress;
+use areoid_formats::body::Ellipsoid;
+use areoid_formats::geodesy::geographic_from_normal;
+use areoid_formats::grid::Grid;
+use areoid_formats::page::Kind;
+use glam::DVec3;
+
+use super::frame::reference_point;
+use super::sphere::distance_to_triangle;
+use super::tree::Verdict;
+use crate::camera::pixel_angle;
+use crate::map::Cap;
+use crate::surface::Surface;
+
+/// Segments along the side of a patch.
+pub(crate) const SEGMENTS: u32 = 16;
+
+/// Pixels between vertices, to a pixel of tolerance, where the terrain has detail for them.
+const SPACING_PX: f64 = 4.0;
+/// Pixels between vertices everywhere: flat patches stay small enough for f32 weights.
+const WIDEST_SPACING_PX: f64 = 32.0;
+/// Texels between vertices at most where they are large on the screen.
+const SPACING_TEXELS: f64 = 0.5;
+/// Pixels by which a flat triangle may leave the curved reference surface.
+const SAGITTA_PX: f64 = 0.1;
+/// An eye is never taken as nearer to the ground than this.
+const NEAREST_M: f64 = 0.25;
+/// Triangles this deep are a tenth of a meter on the Earth.
+const DEEPEST: u8 = 26;
+/// The first triangles curve too much for tests by their corners.
+const FIRST_FLAT: u8 = 3;
+/// Heights kept from view to view.
+const MOST_HEIGHTS: usize = 1 << 18;
+
+/// What the pages in memory say about detail; it outlives views.
+#[derive(Debug, Default)]
+pub(crate) struct Detail {
+    /// Of height pages, with ground meters to a texel.
+    caps: Vec<(Cap, f64)>,
+    /// Exaggerated.
+    range_m: (f64, f64),
+    heights: HashMap<[u64; 3], f32>,
+    pub(crate) exaggeration: f64,
+}
+
+impl Detail {
+    /// Forgets the old pages.
+    pub(crate) fn renew(&mut self, surface: &Surface, exaggeration: f64) {
+        let datasets = surface.datasets();
+        self.caps.clear();
+        self.caps.extend(
+            surface
+                .pages()
+                .filter(|page| datasets[page.dataset].kind == Kind::Height)
+                .map(|page| place_of(&datasets[page.dataset].grid, page.entry.page)),
+        );
+        let (low, high) = surface.height_range_m();
+        self.range_m = (low * exaggeration, high * exaggeration);
+        self.heights.clear();
+        self.exaggeration = exaggeration;
+    }
+
+    /// The height of the finest surface at a normal, rounded once for all users.
+    #[expect(clippy::cast_possible_truncation, reason = "rounded on purpose")]
+    pub(crate) fn height_m(&mut self, surface: &Surface, normal: DVec3) -> f32 {
+        if self.heights.len() > MOST_HEIGHTS {
+            self.heights.clear();
+        }
+        *self.heights.entry(normal.to_array().map(f64::to_bits)).or_insert_with(|| {
+            let found = surface.compose(Kind::Height, geographic_from_normal(normal), 0.0);
+            found.map_or(0.0, |found| found.value[0]) as f32
+        })
+    }
+
+    /// Ground meters to the finest texel in memory about a triangle.
+    fn finest_texel_m(&self, center: DVec3, radius: f64) -> f64 {
+        let near = self.caps.iter().filter(|(cap, _)| cap.meets(center, radius));
+        near.fold(f64::INFINITY, |finest, &(_, texel_m)| finest.min(texel_m))
+    }
+}
+
+/// Where a page lies, and ground meters to its texel.
+fn place_of(grid: &Grid, page: PageAddress) -> (Cap, f64) {
+    let cap = Cap::of_page(grid, page);
+    let center = geographic_from_normal(cap.center);
+    let (texel_m, _) = grid.crs().principal_scales(center, grid.pixel_size_at(page.level));
+    (cap, texel_m)
+}
+
+/// One view's wishes.
+#[derive(Debug)]
+pub(crate) struct Criterion {
+    ellipsoid: Ellipsoid,
+    eye: DVec3,
+    /// Inward normals through the eye.
+    planes: [DVec3; 5],
+    pixel_angle: f64,
+    spacing_px: f64,
+    range_m: (f64, f64),
+    /// Cosine-like limit of the horizon, in meters along the eye's direction; none inside.
+    horizon_m: Option<f64>,
+}
+
+impl Criterion {
+    pub(crate) fn new(view: &View, ellipsoid: Ellipsoid, detail: &Detail) -> Self {
+        let [right, up, backward] =
+            [view.orientation.x_axis, view.orientation.y_axis, view.orientation.z_axis];
+        let tangent_y = (view.vertical_fov.0 / 2.0).tan();
+        let tangent_x = tangent_y * f64::from(view.viewport[0]) / f64::from(view.viewport[1]);
+        let planes = [
+            -backward,
+            right - backward * tangent_x,
+            -right - backward * tangent_x,
+            up - backward * tangent_y,
+            -up - backward * tangent_y,
+        ];
+
+        let (low, high) = detail.range_m;
+        let inner = ellipsoid.b().0 + low;
+        let outer = ellipsoid.a().0 + high;
+        let distance = view.eye.length();
+        let horizon_m = (distance > inner).then(|| {
+            let ratio = inner / distance;
+            inner * ratio - (1.0 - ratio * ratio).sqrt() * (outer * outer - inner * inner).sqrt()
+        });
+        Self {
+            ellipsoid,
+            eye: view.eye,
+            planes,
+            pixel_angle: pixel_angle(view),
+            spacing_px: SPACING_PX * view.tolerance_px.max(0.1),
+            range_m: detail.range_m,
+            horizon_m,
+        }
+    }
+
+    /// What to do with a triangle.
+    pub(crate) fn verdict(
+        &self,
+        detail: &mut Detail,
+        surface: &Surface,
+        corners: [DVec3; 3],
+        depth: u8,
+    ) -> Verdict {
+        let [a, b, c] = corners;
+        let side = a.distance(b).max(b.distance(c)).max(c.distance(a));
+        let center = ((a + b + c) / 3.0).normalize();
+        let reach = center.distance(a).max(center.distance(b)).max(center.distance(c));
+        if self.beyond_horizon(center, reach)
+            || (depth >= FIRST_FLAT && self.out_of_frustum(corners, side))
+        {
+            return Verdict::Hidden;
+        }
+        if depth >= DEEPEST {
+            return Verdict::Draw;
+        }
+
+        let radius = self.ellipsoid.a().0;
+        let exaggeration = detail.exaggeration;
+        let heights =
+            corners.map(|corner| exaggeration * f64::from(detail.height_m(surface, corner)));
+        let lifted = [0, 1, 2]
+            .map(|i| reference_point(&self.ellipsoid, corners[i]) + heights[i] * corners[i]);
+        let relief = heights.iter().fold(0.0_f64, |most, h| most.max((h - heights[0]).abs()));
+        let bulge = radius * side * side / 6.0;
+        let distance = distance_to_triangle(self.eye, lifted) - bulge - relief;
+        let pixel_m = self.pixel_angle * distance.max(NEAREST_M);
+
+        let spacing_m = radius * side / f64::from(SEGMENTS);
+        let sagitta_m = spacing_m * spacing_m / (8.0 * radius);
+        let must = spacing_m > WIDEST_SPACING_PX * pixel_m || sagitta_m > SAGITTA_PX * pixel_m;
+        let may = || {
+            spacing_m > self.spacing_px * pixel_m
+                && spacing_m > SPACING_TEXELS * detail.finest_texel_m(center, reach)
+        };
+        if must || may() { Verdict::Split } else { Verdict::Draw }
+    }
+
+    /// DESIGN §5: n·p below the limit for all points of the volume.
+    fn beyond_horizon(&self, center: DVec3, reach: f64) -> bool {
+        let Some(limit) = self.horizon_m else { return false };
+        let outer = self.ellipsoid.a().0 + self.range_m.1;
+        // A point's direction differs from its normal's by less than the first term.
+        let reach = reach + 2.0 * self.ellipsoid.eccentricity_squared();
+        let angle =
+            self.eye.normalize().angle_between(center) - 2.0 * (reach / 2.0).min(1.0).asin();
+        let along = angle.clamp(0.0, std::f64::consts::PI).cos();
+        along * if along > 0.0 { outer } else { self.ellipsoid.b().0 + self.range_m.0 } < limit
+    }
+
+    fn out_of_frustum(&self, corners: [DVec3; 3], side: f64) -> bool {
+        let (low, high) = self.range_m;
+        // The top bulges above its corners.
+        let bulge = (self.ellipsoid.a().0 + high) * side * side / 5.0;
+        let volume = corners.map(|normal| {
+            let base = reference_point(&self.ellipsoid, normal) - self.eye;
+            [base + (low - 1.0) * normal, base + (high + bulge + 1.0) * normal]
+        });
+        let points = volume.as_flattened();
+        self.planes.iter().any(|plane| points.iter().all(|point| plane.dot(*point) < 0.0))
+    }
+}

@@ -1,0 +1,96 @@
+//! The structures that the shaders read, as Rust lays them out.
+//!
+//! Each mirrors the WGSL structure of its name, whose comments say what the fields are; a test
+//! compares the offsets.
+
+use bytemuck::{Pod, Zeroable};
+
+/// Mirrors `struct Scene` of `shader/scene.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct Scene {
+    pub(crate) right: [f32; 3],
+    pub(crate) focal_x: f32,
+    pub(crate) up: [f32; 3],
+    pub(crate) focal_y: f32,
+    pub(crate) backward: [f32; 3],
+    pub(crate) near: f32,
+    pub(crate) sun: [f32; 3],
+    pub(crate) ambient: f32,
+    pub(crate) background: [f32; 3],
+    pub(crate) exaggeration: f32,
+    pub(crate) viewport: [u32; 2],
+    pub(crate) equatorial_radius: f32,
+    pub(crate) eccentricity2: f32,
+    pub(crate) pixel_angle: f32,
+    pub(crate) heights: u32,
+    pub(crate) datasets: u32,
+    pub(crate) lod_bias: f32,
+}
+
+/// Mirrors `struct Frame` of `shader/frame.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct Frame {
+    pub(crate) origin: [f32; 3],
+    pub(crate) height: f32,
+    pub(crate) east: [f32; 3],
+    pub(crate) _pad0: u32,
+    pub(crate) north: [f32; 3],
+    pub(crate) _pad1: u32,
+    pub(crate) up: [f32; 3],
+    pub(crate) _pad2: u32,
+}
+
+/// Mirrors `struct Anchor` of `shader/map.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct Anchor {
+    pub(crate) texel: [i32; 2],
+    pub(crate) fraction: [f32; 2],
+    pub(crate) matrix: [f32; 4],
+}
+
+/// Mirrors `struct Dataset` of `shader/map.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct Dataset {
+    pub(crate) size: [i32; 2],
+    pub(crate) interior: i32,
+    pub(crate) levels: i32,
+    pub(crate) first_window: i32,
+    pub(crate) priority: i32,
+    pub(crate) polar: i32,
+    pub(crate) wraps: i32,
+    pub(crate) period: f32,
+    pub(crate) latitude_ratio: f32,
+    pub(crate) hemisphere: f32,
+    pub(crate) eccentricity: f32,
+    pub(crate) ground: [f32; 2],
+    pub(crate) _pad: [u32; 2],
+}
+
+/// Mirrors `struct Edge` of `shader/mesh.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct Edge {
+    pub(crate) frames: [u32; 3],
+    pub(crate) half_chord: f32,
+    pub(crate) direction: [f32; 2],
+    pub(crate) distance: f32,
+    pub(crate) _pad: u32,
+}
+
+/// Mirrors `struct Patch` of `shader/mesh.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct Patch {
+    pub(crate) corner_a: [f32; 3],
+    pub(crate) frame: u32,
+    pub(crate) corner_b: [f32; 3],
+    pub(crate) sides: u32,
+    pub(crate) corner_c: [f32; 3],
+    pub(crate) distance: f32,
+    pub(crate) edges: [u32; 3],
+    pub(crate) _pad: u32,
+}

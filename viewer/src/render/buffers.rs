@@ -1,0 +1,44 @@
+//! GPU buffers that follow the sizes of what is written to them.
+
+use crate::gpu::Gpu;
+
+/// A storage buffer that grows.
+#[derive(Debug)]
+pub(crate) struct Growing {
+    label: &'static str,
+    buffer: wgpu::Buffer,
+}
+
+/// Bytes at first: no binding may be empty.
+const FIRST_BYTES: u64 = 1024;
+
+impl Growing {
+    pub(crate) fn new(gpu: &Gpu, label: &'static str) -> Self {
+        Self { label, buffer: create(gpu, label, FIRST_BYTES) }
+    }
+
+    /// Writes all of `items`; whether the buffer is another one now.
+    pub(crate) fn write<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, items: &[T]) -> bool {
+        let bytes: &[u8] = bytemuck::cast_slice(items);
+        let needed = bytes.len() as u64;
+        let grows = needed > self.buffer.size();
+        if grows {
+            self.buffer = create(gpu, self.label, needed.next_power_of_two());
+        }
+        gpu.queue.write_buffer(&self.buffer, 0, bytes);
+        grows
+    }
+
+    pub(crate) fn binding(&self) -> wgpu::BindingResource<'_> {
+        self.buffer.as_entire_binding()
+    }
+}
+
+fn create(gpu: &Gpu, label: &str, size: u64) -> wgpu::Buffer {
+    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(label),
+        size,
+        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}

@@ -1,0 +1,14 @@
+//! One path from a selection to a picture, with a window or without.
+
+mod aovs;
+mod buffers;
+mod pipelines;
+mod renderer;
+mod resident;
+mod targets;
+
+#[cfg(test)]
+pub(crate) mod testing;
+
+pub use aovs::Aovs;
+pub use renderer::{FrameStatistics, Image, Light, Options, Renderer};

@@ -1,0 +1,205 @@
+//! The three programs and what they bind.
+
+use crate::gpu::Gpu;
+use crate::mesh::detail::SEGMENTS;
+use crate::shader::Program;
+
+/// Patch number and weights.
+pub(crate) const DEFERRED: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
+/// Reversed, infinitely far at 0.
+pub(crate) const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+/// sRGB codes, encoded by the shader.
+pub(crate) const PICTURE: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
+
+/// The programs of a picture and their bindings.
+#[derive(Debug)]
+pub(crate) struct Pipelines {
+    /// Scene and geometry.
+    pub(crate) scene_layout: wgpu::BindGroupLayout,
+    /// The atlases.
+    pub(crate) atlas_layout: wgpu::BindGroupLayout,
+    /// The deferred buffer.
+    pub(crate) deferred_layout: wgpu::BindGroupLayout,
+    /// The deferred buffer, and numbers out of it.
+    pub(crate) measure_layout: wgpu::BindGroupLayout,
+    pub(crate) mesh: wgpu::RenderPipeline,
+    pub(crate) shade: wgpu::RenderPipeline,
+    pub(crate) measure: wgpu::ComputePipeline,
+}
+
+impl Pipelines {
+    pub(crate) fn new(gpu: &Gpu) -> Self {
+        let uniform = wgpu::BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Uniform,
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        };
+        let read = storage(true);
+        let scene_layout = layout(gpu, "scene", &[uniform, read, read, read, read, read, read]);
+        let atlas_layout = layout(
+            gpu,
+            "atlases",
+            &[
+                texture(wgpu::TextureSampleType::Float { filterable: false }, true),
+                texture(wgpu::TextureSampleType::Uint, true),
+                texture(wgpu::TextureSampleType::Float { filterable: false }, true),
+            ],
+        );
+        let deferred = texture(wgpu::TextureSampleType::Uint, false);
+        let deferred_layout = layout(gpu, "deferred", &[deferred]);
+        let measure_layout = compute_layout(gpu, "measure", &[deferred, storage(false)]);
+
+        let mesh = mesh_pipeline(gpu, &[&scene_layout, &atlas_layout]);
+        let shade = shade_pipeline(gpu, &[&scene_layout, &atlas_layout, &deferred_layout]);
+        let measure = measure_pipeline(gpu, &[&scene_layout, &atlas_layout, &measure_layout]);
+        Self { scene_layout, atlas_layout, deferred_layout, measure_layout, mesh, shade, measure }
+    }
+}
+
+fn storage(read_only: bool) -> wgpu::BindingType {
+    wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Storage { read_only },
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    }
+}
+
+fn texture(sample_type: wgpu::TextureSampleType, array: bool) -> wgpu::BindingType {
+    wgpu::BindingType::Texture {
+        sample_type,
+        view_dimension: if array {
+            wgpu::TextureViewDimension::D2Array
+        } else {
+            wgpu::TextureViewDimension::D2
+        },
+        multisampled: false,
+    }
+}
+
+fn layout(gpu: &Gpu, label: &str, types: &[wgpu::BindingType]) -> wgpu::BindGroupLayout {
+    let all = wgpu::ShaderStages::VERTEX_FRAGMENT | wgpu::ShaderStages::COMPUTE;
+    layout_for(gpu, label, types, all)
+}
+
+fn compute_layout(gpu: &Gpu, label: &str, types: &[wgpu::BindingType]) -> wgpu::BindGroupLayout {
+    layout_for(gpu, label, types, wgpu::ShaderStages::COMPUTE)
+}
+
+fn layout_for(
+    gpu: &Gpu,
+    label: &str,
+    types: &[wgpu::BindingType],
+    visibility: wgpu::ShaderStages,
+) -> wgpu::BindGroupLayout {
+    let entries: Vec<_> = (0..)
+        .zip(types)
+        .map(|(binding, &ty)| wgpu::BindGroupLayoutEntry { binding, visibility, ty, count: None })
+        .collect();
+    let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries };
+    gpu.device.create_bind_group_layout(&descriptor)
+}
+
+fn module(gpu: &Gpu, label: &str, program: Program) -> wgpu::ShaderModule {
+    gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(label),
+        source: wgpu::ShaderSource::Wgsl(program.source().into()),
+    })
+}
+
+fn pipeline_layout(
+    gpu: &Gpu,
+    label: &str,
+    groups: &[&wgpu::BindGroupLayout],
+) -> wgpu::PipelineLayout {
+    let groups: Vec<_> = groups.iter().map(|&group| Some(group)).collect();
+    gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(label),
+        bind_group_layouts: &groups,
+        immediate_size: 0,
+    })
+}
+
+/// The constants that the programs with `mesh.wgsl` in them take from here.
+const CONSTANTS: [(&str, f64); 1] = [("SEGMENTS", SEGMENTS as f64)];
+
+fn options() -> wgpu::PipelineCompilationOptions<'static> {
+    wgpu::PipelineCompilationOptions { constants: &CONSTANTS, ..Default::default() }
+}
+
+fn mesh_pipeline(gpu: &Gpu, groups: &[&wgpu::BindGroupLayout]) -> wgpu::RenderPipeline {
+    let module = module(gpu, "mesh", Program::Mesh);
+    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("mesh"),
+        layout: Some(&pipeline_layout(gpu, "mesh", groups)),
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: Some("vertex"),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants: &CONSTANTS,
+                ..Default::default()
+            },
+            buffers: &[Some(wgpu::VertexBufferLayout {
+                array_stride: 8,
+                step_mode: wgpu::VertexStepMode::Vertex,
+                attributes: &wgpu::vertex_attr_array![0 => Sint32x2],
+            })],
+        },
+        primitive: wgpu::PrimitiveState {
+            front_face: wgpu::FrontFace::Ccw,
+            cull_mode: None,
+            ..Default::default()
+        },
+        depth_stencil: Some(wgpu::DepthStencilState {
+            format: DEPTH,
+            depth_write_enabled: Some(true),
+            depth_compare: Some(wgpu::CompareFunction::Greater),
+            stencil: wgpu::StencilState::default(),
+            bias: wgpu::DepthBiasState::default(),
+        }),
+        multisample: wgpu::MultisampleState::default(),
+        fragment: Some(wgpu::FragmentState {
+            module: &module,
+            entry_point: Some("fragment"),
+            compilation_options: options(),
+            targets: &[Some(DEFERRED.into())],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+fn shade_pipeline(gpu: &Gpu, groups: &[&wgpu::BindGroupLayout]) -> wgpu::RenderPipeline {
+    let module = module(gpu, "shade", Program::Shade);
+    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("shade"),
+        layout: Some(&pipeline_layout(gpu, "shade", groups)),
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: Some("whole_screen"),
+            compilation_options: options(),
+            buffers: &[],
+        },
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: None,
+        multisample: wgpu::MultisampleState::default(),
+        fragment: Some(wgpu::FragmentState {
+            module: &module,
+            entry_point: Some("shade"),
+            compilation_options: options(),
+            targets: &[Some(PICTURE.into())],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+fn measure_pipeline(gpu: &Gpu, groups: &[&wgpu::BindGroupLayout]) -> wgpu::ComputePipeline {
+    gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some("measure"),
+        layout: Some(&pipeline_layout(gpu, "measure", groups)),
+        module: &module(gpu, "measure", Program::Measure),
+        entry_point: Some("measure"),
+        compilation_options: options(),
+        cache: None,
+    })
+}

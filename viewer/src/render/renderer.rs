@@ -1,0 +1,478 @@
+//! The renderer: geometry into a deferred buffer, the buffer into a picture.
+//!
+//! ```text
+//!   selection ─▶ atlases, page table ─┐
+//!   view ──────▶ patches, frames ─────┴▶ mesh ─▶ deferred buffer ─▶ shade ─▶ picture
+//!                                                        └───────▶ measure ─▶ AOVs
+//! ```
+
+use areoid_cache::{Selection, View};
+use areoid_formats::body::Ellipsoid;
+use areoid_formats::geodesy::geographic_from_normal;
+use areoid_formats::page::Kind;
+use glam::DVec3;
+
+use super::aovs::Aovs;
+use super::buffers::Growing;
+use super::pipelines::Pipelines;
+use super::resident::{Brought, Resident};
+use super::targets::{Targets, read_buffer, read_texture};
+use crate::camera::pixel_angle;
+use crate::gpu::Gpu;
+use crate::mesh::detail::{Detail, SEGMENTS};
+use crate::mesh::patches::Mesh;
+use crate::mirror;
+use crate::surface::Surface;
+
+/// Where light comes from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Light {
+    /// Toward the sun, body-fixed, of any length but 0.
+    pub toward_sun: DVec3,
+    /// Share of light that comes from everywhere, 0 to 1.
+    pub ambient: f64,
+}
+
+/// How to draw.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Options {
+    /// Factor on heights: 1 is true to scale.
+    pub vertical_exaggeration: f64,
+    /// sRGB codes where no planet is.
+    pub background: [u8; 3],
+    /// Bytes of pages that one frame may write to the GPU.
+    pub upload_limit_bytes: u64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { vertical_exaggeration: 1.0, background: [0; 3], upload_limit_bytes: u64::MAX }
+    }
+}
+
+/// A picture: four bytes a pixel, red first, row by row from the top.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image {
+    /// Pixels in a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// sRGB codes and an alpha of 255.
+    pub rgba: Vec<u8>,
+}
+
+/// What a frame cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameStatistics {
+    /// Patches drawn.
+    pub patches: usize,
+    /// Triangles drawn.
+    pub triangles: usize,
+    /// Pages written to the GPU.
+    pub uploaded_pages: usize,
+    /// Pages put off to the next frame: draw again.
+    pub pending_pages: usize,
+    /// Pages for which the atlas has no room.
+    pub left_out_pages: usize,
+}
+
+/// Meters to the near plane.
+const NEAR_M: f64 = 0.05;
+
+/// Bytes of each atlas.
+const ATLAS_BYTES: u64 = 512 << 20;
+
+/// Draws selections. One thread uses it; nothing in it waits but the `read_` calls.
+#[derive(Debug)]
+pub struct Renderer {
+    gpu: Gpu,
+    ellipsoid: Ellipsoid,
+    pipelines: Pipelines,
+    resident: Resident,
+    mesh: Mesh,
+    detail: Detail,
+    surface: Option<Surface>,
+    /// What `surface` was made of.
+    known: Option<Known>,
+    scene: wgpu::Buffer,
+    storages: Storages,
+    scene_group: Option<wgpu::BindGroup>,
+    atlas_group: Option<wgpu::BindGroup>,
+    targets: Option<Targets>,
+    pattern: Pattern,
+    drawn: Option<View>,
+    exaggeration: f64,
+}
+
+/// A state of pages: the same twice means that nothing has to be brought.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Known {
+    generation: u64,
+    pages: usize,
+    exaggeration: f64,
+    pending: bool,
+}
+
+#[derive(Debug)]
+struct Storages {
+    frames: Growing,
+    datasets: Growing,
+    anchors: Growing,
+    table: Growing,
+    edges: Growing,
+    patches: Growing,
+}
+
+/// The triangles of any patch.
+#[derive(Debug)]
+struct Pattern {
+    steps: wgpu::Buffer,
+    indices: wgpu::Buffer,
+    index_count: u32,
+}
+
+impl Renderer {
+    /// A renderer for a body on a device.
+    #[must_use]
+    pub fn new(gpu: &Gpu, ellipsoid: Ellipsoid) -> Self {
+        Self {
+            pipelines: Pipelines::new(gpu),
+            resident: Resident::new(gpu, ATLAS_BYTES),
+            mesh: Mesh::default(),
+            detail: Detail::default(),
+            surface: None,
+            known: None,
+            scene: gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("scene"),
+                size: size_of::<mirror::Scene>() as u64,
+                usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            }),
+            storages: Storages {
+                frames: Growing::new(gpu, "frames"),
+                datasets: Growing::new(gpu, "datasets"),
+                anchors: Growing::new(gpu, "anchors"),
+                table: Growing::new(gpu, "page table"),
+                edges: Growing::new(gpu, "edges"),
+                patches: Growing::new(gpu, "patches"),
+            },
+            scene_group: None,
+            atlas_group: None,
+            targets: None,
+            pattern: Pattern::new(gpu),
+            drawn: None,
+            exaggeration: 1.0,
+            gpu: gpu.clone(),
+            ellipsoid,
+        }
+    }
+
+    /// Draws `view` into the picture.
+    pub fn render(
+        &mut self,
+        view: &View,
+        selection: &Selection,
+        light: &Light,
+        options: &Options,
+    ) -> FrameStatistics {
+        let brought = self.follow(selection, options);
+        let surface = self.surface.as_ref().expect("follow makes one");
+        self.mesh.build(view, self.ellipsoid, surface, &mut self.detail, &self.resident.maps);
+        self.write_scene(view, light, options);
+        self.draw(view);
+        self.drawn = Some(*view);
+        let patches = self.mesh.patches.len();
+        FrameStatistics {
+            patches,
+            triangles: patches * (SEGMENTS * SEGMENTS) as usize,
+            uploaded_pages: brought.uploaded,
+            pending_pages: brought.put_off,
+            left_out_pages: brought.left_out,
+        }
+    }
+
+    /// The picture drawn last. Waits for the GPU.
+    ///
+    /// # Panics
+    ///
+    /// If nothing was drawn.
+    #[must_use]
+    pub fn read_color(&self) -> Image {
+        let targets = self.targets.as_ref().expect("a picture was drawn");
+        let [width, height] = targets.viewport;
+        Image { width, height, rgba: read_texture(&self.gpu, &targets.picture) }
+    }
+
+    /// What the pixels drawn last show, in numbers. Waits for the GPU.
+    ///
+    /// # Panics
+    ///
+    /// If nothing was drawn.
+    #[must_use]
+    pub fn read_aovs(&self) -> Aovs {
+        let targets = self.targets.as_ref().expect("a picture was drawn");
+        let view = self.drawn.as_ref().expect("a picture was drawn");
+        self.measure(targets);
+        let deferred = read_texture(&self.gpu, &targets.deferred);
+        let measures = read_buffer(&self.gpu, &targets.measures);
+        Aovs::new(view, &self.ellipsoid, self.exaggeration, &self.mesh, &deferred, &measures)
+    }
+
+    /// The exaggerated height drawn last at a unit normal, from the finest page in memory; 0 before.
+    #[must_use]
+    pub fn height_m(&self, normal: DVec3) -> f64 {
+        let place = geographic_from_normal(normal);
+        let found =
+            self.surface.as_ref().and_then(|surface| surface.compose(Kind::Height, place, 0.0));
+        found.map_or(0.0, |found| self.exaggeration * found.value[0])
+    }
+
+    /// The picture as a texture of sRGB codes, or `None` before the first.
+    pub(crate) fn picture(&self) -> Option<&wgpu::Texture> {
+        self.targets.as_ref().map(|targets| &targets.picture)
+    }
+
+    /// Brings what is new of a selection to the GPU.
+    fn follow(&mut self, selection: &Selection, options: &Options) -> Brought {
+        let known = Known {
+            generation: selection.generation,
+            pages: selection.pages.len(),
+            exaggeration: options.vertical_exaggeration,
+            pending: false,
+        };
+        if self.known == Some(known) {
+            return Brought::default();
+        }
+        let gpu = &self.gpu;
+        let layers = (self.resident.heights.layers(), self.resident.colors.layers());
+        let sides = (self.resident.heights.side(), self.resident.colors.side());
+        let brought = self.resident.bring(gpu, selection, options.upload_limit_bytes);
+        if layers != (self.resident.heights.layers(), self.resident.colors.layers())
+            || sides != (self.resident.heights.side(), self.resident.colors.side())
+        {
+            self.atlas_group = None;
+        }
+        let grown = self.storages.table.write(gpu, &self.resident.table)
+            | self.storages.datasets.write(gpu, &self.resident.mirrored);
+        if grown {
+            self.scene_group = None;
+        }
+        let surface = Surface::new(selection);
+        self.detail.renew(&surface, options.vertical_exaggeration);
+        self.surface = Some(surface);
+        self.exaggeration = options.vertical_exaggeration;
+        self.known = Some(Known { pending: brought.put_off > 0, ..known });
+        brought
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "angles, factors and the body's radius")]
+    fn write_scene(&mut self, view: &View, light: &Light, options: &Options) {
+        let tangent = (view.vertical_fov.0 / 2.0).tan();
+        let aspect = f64::from(view.viewport[0]) / f64::from(view.viewport[1]);
+        let axis = |axis: DVec3| axis.as_vec3().to_array();
+        let scene = mirror::Scene {
+            right: axis(view.orientation.x_axis),
+            focal_x: (1.0 / (tangent * aspect)) as f32,
+            up: axis(view.orientation.y_axis),
+            focal_y: (1.0 / tangent) as f32,
+            backward: axis(view.orientation.z_axis),
+            near: NEAR_M as f32,
+            sun: axis(light.toward_sun.normalize()),
+            ambient: light.ambient as f32,
+            background: options.background.map(|code| f32::from(code) / 255.0),
+            exaggeration: options.vertical_exaggeration as f32,
+            viewport: view.viewport,
+            equatorial_radius: self.ellipsoid.a().0 as f32,
+            eccentricity2: self.ellipsoid.eccentricity_squared() as f32,
+            pixel_angle: pixel_angle(view) as f32,
+            heights: self.resident.height_count,
+            datasets: self.resident.maps.len() as u32,
+            lod_bias: 0.0,
+        };
+        let gpu = &self.gpu;
+        gpu.queue.write_buffer(&self.scene, 0, bytemuck::bytes_of(&scene));
+        let grown = self.storages.frames.write(gpu, &self.mesh.mirrored_frames)
+            | self.storages.anchors.write(gpu, &self.mesh.anchors)
+            | self.storages.edges.write(gpu, &self.mesh.edges)
+            | self.storages.patches.write(gpu, &self.mesh.patches);
+        if grown || self.scene_group.is_none() {
+            let storages = &self.storages;
+            let bindings = [
+                self.scene.as_entire_binding(),
+                storages.frames.binding(),
+                storages.datasets.binding(),
+                storages.anchors.binding(),
+                storages.table.binding(),
+                storages.edges.binding(),
+                storages.patches.binding(),
+            ];
+            let layout = &self.pipelines.scene_layout;
+            self.scene_group = Some(bind(gpu, "scene", layout, bindings));
+        }
+        if self.atlas_group.is_none() {
+            let [heights, coverage] =
+                self.resident.heights.views().try_into().expect("heights have two planes");
+            let [colors] = self.resident.colors.views().try_into().expect("colors have one plane");
+            let bindings = [&heights, &coverage, &colors].map(wgpu::BindingResource::TextureView);
+            self.atlas_group = Some(bind(gpu, "atlases", &self.pipelines.atlas_layout, bindings));
+        }
+        if self.targets.as_ref().is_none_or(|targets| targets.viewport != view.viewport) {
+            self.targets = Some(Targets::new(gpu, view.viewport));
+        }
+    }
+
+    fn draw(&self, view: &View) {
+        let gpu = &self.gpu;
+        let targets = self.targets.as_ref().filter(|targets| targets.viewport == view.viewport);
+        let targets = targets.expect("write_scene makes them");
+        let look = wgpu::TextureViewDescriptor::default();
+        let (deferred, depth, picture) = (
+            targets.deferred.create_view(&look),
+            targets.depth.create_view(&look),
+            targets.picture.create_view(&look),
+        );
+        let descriptor = wgpu::CommandEncoderDescriptor { label: Some("frame") };
+        let mut encoder = gpu.device.create_command_encoder(&descriptor);
+        {
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("mesh"),
+                color_attachments: &[Some(attachment(&deferred))],
+                depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                    view: &depth,
+                    depth_ops: Some(wgpu::Operations {
+                        load: wgpu::LoadOp::Clear(0.0),
+                        store: wgpu::StoreOp::Discard,
+                    }),
+                    stencil_ops: None,
+                }),
+                ..Default::default()
+            });
+            pass.set_pipeline(&self.pipelines.mesh);
+            pass.set_bind_group(0, &self.scene_group, &[]);
+            pass.set_bind_group(1, &self.atlas_group, &[]);
+            pass.set_vertex_buffer(0, self.pattern.steps.slice(..));
+            pass.set_index_buffer(self.pattern.indices.slice(..), wgpu::IndexFormat::Uint16);
+            let instances = u32::try_from(self.mesh.patches.len()).unwrap_or(u32::MAX);
+            pass.draw_indexed(0..self.pattern.index_count, 0, 0..instances);
+        }
+        {
+            let bindings = [wgpu::BindingResource::TextureView(&deferred)];
+            let group = bind(gpu, "deferred", &self.pipelines.deferred_layout, bindings);
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("shade"),
+                color_attachments: &[Some(attachment(&picture))],
+                ..Default::default()
+            });
+            pass.set_pipeline(&self.pipelines.shade);
+            pass.set_bind_group(0, &self.scene_group, &[]);
+            pass.set_bind_group(1, &self.atlas_group, &[]);
+            pass.set_bind_group(2, &group, &[]);
+            pass.draw(0..3, 0..1);
+        }
+        gpu.queue.submit([encoder.finish()]);
+    }
+
+    /// What `probe`, a shader about the geometry drawn last, writes at `group(2) binding(0)`.
+    #[cfg(test)]
+    pub(crate) fn probe(&self, source: &str, bytes: u64, workgroups: u32) -> Vec<u8> {
+        let layouts = [&self.pipelines.scene_layout, &self.pipelines.atlas_layout];
+        let groups = [&self.scene_group, &self.atlas_group];
+        super::testing::probe(&self.gpu, source, layouts, groups, bytes, workgroups)
+    }
+
+    /// The geometry drawn last.
+    #[cfg(test)]
+    pub(crate) fn mesh(&self) -> &Mesh {
+        &self.mesh
+    }
+
+    fn measure(&self, targets: &Targets) {
+        let gpu = &self.gpu;
+        let deferred = targets.deferred.create_view(&wgpu::TextureViewDescriptor::default());
+        let bindings =
+            [wgpu::BindingResource::TextureView(&deferred), targets.measures.as_entire_binding()];
+        let group = bind(gpu, "measure", &self.pipelines.measure_layout, bindings);
+        let descriptor = wgpu::CommandEncoderDescriptor { label: Some("measure") };
+        let mut encoder = gpu.device.create_command_encoder(&descriptor);
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some("measure"),
+                ..Default::default()
+            });
+            pass.set_pipeline(&self.pipelines.measure);
+            pass.set_bind_group(0, &self.scene_group, &[]);
+            pass.set_bind_group(1, &self.atlas_group, &[]);
+            pass.set_bind_group(2, &group, &[]);
+            let [width, height] = targets.viewport;
+            pass.dispatch_workgroups(width.div_ceil(8), height.div_ceil(8), 1);
+        }
+        gpu.queue.submit([encoder.finish()]);
+    }
+}
+
+fn attachment(view: &wgpu::TextureView) -> wgpu::RenderPassColorAttachment<'_> {
+    wgpu::RenderPassColorAttachment {
+        view,
+        depth_slice: None,
+        resolve_target: None,
+        ops: wgpu::Operations {
+            load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT),
+            store: wgpu::StoreOp::Store,
+        },
+    }
+}
+
+fn bind<const N: usize>(
+    gpu: &Gpu,
+    label: &str,
+    layout: &wgpu::BindGroupLayout,
+    resources: [wgpu::BindingResource<'_>; N],
+) -> wgpu::BindGroup {
+    let entries: Vec<_> = (0..)
+        .zip(resources)
+        .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
+        .collect();
+    gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some(label),
+        layout,
+        entries: &entries,
+    })
+}
+
+impl Pattern {
+    fn new(gpu: &Gpu) -> Self {
+        let side = i32::try_from(SEGMENTS).expect("a patch has few segments");
+        let steps: Vec<[i32; 2]> =
+            (0..=side).flat_map(|b| (0..=side - b).map(move |c| [b, c])).collect();
+        // Row b starts behind the rows before it, each one vertex shorter than the last.
+        let vertex = |b: i32, c: i32| {
+            u16::try_from(b * (side + 1) - b * (b - 1) / 2 + c).expect("a patch has few vertices")
+        };
+        let mut indices: Vec<u16> = Vec::new();
+        for b in 0..side {
+            for c in 0..side - b {
+                indices.extend([vertex(b, c), vertex(b + 1, c), vertex(b, c + 1)]);
+                if b + c < side - 1 {
+                    indices.extend([vertex(b + 1, c), vertex(b + 1, c + 1), vertex(b, c + 1)]);
+                }
+            }
+        }
+        let index_count = u32::try_from(indices.len()).expect("a patch has few triangles");
+        if indices.len() % 2 == 1 {
+            indices.push(0);
+        }
+        let buffer = |label, bytes: &[u8], usage| {
+            let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: bytes.len() as u64,
+                usage: usage | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            });
+            gpu.queue.write_buffer(&buffer, 0, bytes);
+            buffer
+        };
+        let steps = buffer("steps", bytemuck::cast_slice(&steps), wgpu::BufferUsages::VERTEX);
+        let indices = buffer("indices", bytemuck::cast_slice(&indices), wgpu::BufferUsages::INDEX);
+        Self { steps, indices, index_count }
+    }
+}

@@ -1,0 +1,136 @@
+//! Runs a compute shader over questions, for tests.
+
+use bytemuck::Pod;
+
+use super::targets::read_buffer;
+use crate::gpu::Gpu;
+use crate::mirror;
+
+/// The answers of the entry point `probe`: `group(0)` has the scene, datasets and anchors at their
+/// places, `group(1)` the questions, which it overwrites.
+pub(crate) fn compute<T: Pod>(
+    gpu: &Gpu,
+    source: &str,
+    scene: &mirror::Scene,
+    datasets: &[mirror::Dataset],
+    anchors: &[mirror::Anchor],
+    questions: &[T],
+) -> Vec<T> {
+    let buffer = |label, bytes: &[u8], usage| {
+        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: bytes.len() as u64,
+            usage: usage | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        });
+        gpu.queue.write_buffer(&buffer, 0, bytes);
+        buffer
+    };
+    let storage = wgpu::BufferUsages::STORAGE;
+    let scene = buffer("scene", bytemuck::bytes_of(scene), wgpu::BufferUsages::UNIFORM);
+    let datasets = buffer("datasets", bytemuck::cast_slice(datasets), storage);
+    let anchors = buffer("anchors", bytemuck::cast_slice(anchors), storage);
+    let probes = buffer("questions", bytemuck::cast_slice(questions), storage);
+
+    let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("probe"),
+        source: wgpu::ShaderSource::Wgsl(source.into()),
+    });
+    let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some("probe"),
+        layout: None,
+        module: &module,
+        entry_point: Some("probe"),
+        compilation_options: wgpu::PipelineCompilationOptions::default(),
+        cache: None,
+    });
+    let entry = |binding, buffer: &wgpu::Buffer| (binding, buffer.clone());
+    let groups =
+        [vec![entry(0, &scene), entry(2, &datasets), entry(3, &anchors)], vec![entry(0, &probes)]];
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    {
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_pipeline(&pipeline);
+        for (index, group) in (0..).zip(&groups) {
+            let entries: Vec<_> = group
+                .iter()
+                .map(|(binding, buffer)| wgpu::BindGroupEntry {
+                    binding: *binding,
+                    resource: buffer.as_entire_binding(),
+                })
+                .collect();
+            let bound = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("probe"),
+                layout: &pipeline.get_bind_group_layout(index),
+                entries: &entries,
+            });
+            pass.set_bind_group(index, &bound, &[]);
+        }
+        pass.dispatch_workgroups(u32::try_from(questions.len()).unwrap().div_ceil(64), 1, 1);
+    }
+    gpu.queue.submit([encoder.finish()]);
+    bytemuck::cast_slice(&read_buffer(gpu, &probes)).to_vec()
+}
+
+/// The bytes that the entry point `probe` writes at `group(2) binding(0)`, beside the bound groups.
+pub(crate) fn probe(
+    gpu: &Gpu,
+    source: &str,
+    layouts: [&wgpu::BindGroupLayout; 2],
+    groups: [&Option<wgpu::BindGroup>; 2],
+    bytes: u64,
+    workgroups: u32,
+) -> Vec<u8> {
+    let answers = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("answers"),
+        size: bytes,
+        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC,
+        mapped_at_creation: false,
+    });
+    let layout = gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("answers"),
+        entries: &[wgpu::BindGroupLayoutEntry {
+            binding: 0,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer {
+                ty: wgpu::BufferBindingType::Storage { read_only: false },
+                has_dynamic_offset: false,
+                min_binding_size: None,
+            },
+            count: None,
+        }],
+    });
+    let bound = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("answers"),
+        layout: &layout,
+        entries: &[wgpu::BindGroupEntry { binding: 0, resource: answers.as_entire_binding() }],
+    });
+    let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some("probe"),
+        bind_group_layouts: &[Some(layouts[0]), Some(layouts[1]), Some(&layout)],
+        immediate_size: 0,
+    });
+    let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("probe"),
+        source: wgpu::ShaderSource::Wgsl(source.into()),
+    });
+    let pipeline = gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some("probe"),
+        layout: Some(&pipeline_layout),
+        module: &module,
+        entry_point: Some("probe"),
+        compilation_options: wgpu::PipelineCompilationOptions::default(),
+        cache: None,
+    });
+    let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    {
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_pipeline(&pipeline);
+        pass.set_bind_group(0, groups[0], &[]);
+        pass.set_bind_group(1, groups[1], &[]);
+        pass.set_bind_group(2, &bound, &[]);
+        pass.dispatch_workgroups(workgroups, 1, 1);
+    }
+    gpu.queue.submit([encoder.finish()]);
+    read_buffer(gpu, &answers)
+}

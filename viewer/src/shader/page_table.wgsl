@@ -1,0 +1,81 @@
+// page_table.wgsl - which texels of the atlas show a place of a dataset.
+//
+// The table is a list of integers. Each dataset has a window for every level: a rectangle of pages
+// about those that are in memory, as wide as it must be. (A dense table of a planet at 0.25 m a
+// texel would have 5·10^10 entries.)
+//
+//   window   row, column, rows, columns, where its entries start
+//   entry    31      30      29    24 23   16 15      0
+//            +-------+-------+-------+-------+---------+
+//            | holds | whole |   0   | level |  slot   |
+//            +-------+-------+-------+-------+---------+
+//
+// An entry names the finest page in memory that covers its place and is not finer than its level:
+// the page itself, or an ancestor. Outside a level's window the coarser levels are asked.
+//
+// Mirrored   atlas/table.rs, which writes it; a test reads it back through this file
+
+@group(0) @binding(4) var<storage, read> table: array<i32>;
+
+const HOLDS: u32 = 0x80000000u;
+const WHOLE: u32 = 0x40000000u;
+
+// A page in the atlas and a place in it.
+struct Found {
+    entry: u32,
+    // The upper left of the four texels about the place, in the page's window.
+    tap: vec2i,
+    // The place between their centers: whole and fraction stay apart, for a texel may be thousands of
+    // pixels wide.
+    t: vec2f,
+}
+
+fn entry_level(entry: u32) -> i32 {
+    return i32((entry >> 16u) & 0xffu);
+}
+
+// The size of a level of `halvings` above the finest, rounded up.
+fn level_size(size: i32, halvings: u32) -> i32 {
+    return i32((u32(size) + (1u << halvings) - 1u) >> halvings);
+}
+
+// The page of `level` that holds a place.
+fn page_of(dataset: Dataset, point: MapPoint, level: i32) -> vec2i {
+    let halvings = u32(dataset.levels - 1 - level);
+    let pages = (vec2i(level_size(dataset.size.x, halvings), level_size(dataset.size.y, halvings)) + dataset.interior - 1) / dataset.interior;
+    let cell = vec2i(point.texel.x >> halvings, point.texel.y >> halvings);
+    return min(cell / dataset.interior, pages - 1);
+}
+
+// The finest page in memory at most as fine as `level`; its entry is 0 if there is none.
+fn find_page(dataset: Dataset, point: MapPoint, level: i32) -> Found {
+    var entry = 0u;
+    for (var asked = level; asked >= 0; asked--) {
+        let header = dataset.first_window + 5 * asked;
+        let page = page_of(dataset, point, asked);
+        let row = page.y - table[header];
+        var column = page.x - table[header + 1];
+        if column < 0 && dataset.wraps != 0 {
+            let halvings = u32(dataset.levels - 1 - asked);
+            column += (level_size(dataset.size.x, halvings) + dataset.interior - 1) / dataset.interior;
+        }
+        let columns = table[header + 3];
+        if row >= 0 && row < table[header + 2] && column >= 0 && column < columns {
+            entry = u32(table[table[header + 4] + row * columns + column]);
+            break;
+        }
+    }
+    if (entry & HOLDS) == 0u {
+        return Found(0u, vec2i(0), vec2f(0.0));
+    }
+    let found = entry_level(entry);
+    let halvings = u32(dataset.levels - 1 - found);
+    let page = page_of(dataset, point, found);
+    let cell = vec2i(point.texel.x >> halvings, point.texel.y >> halvings) - page * dataset.interior;
+    let below = point.texel & vec2i((1 << halvings) - 1);
+    let rest = (vec2f(below) + point.fraction) / f32(1u << halvings);
+    // The border puts cell (0, 0) at texel (1, 1).
+    let past_center = rest >= vec2f(0.5);
+    let tap = clamp(cell + vec2i(past_center), vec2i(0), vec2i(dataset.interior));
+    return Found(entry, tap, select(rest + 0.5, rest - 0.5, past_center));
+}

@@ -1,0 +1,49 @@
+// scene.wgsl - what all passes of a picture share.
+//
+// Space      eye-relative meters along the body-fixed axes
+// Mirrored   struct Scene <-> viewer/src/mirror.rs
+
+struct Scene {
+    // The axes of the picture.
+    right: vec3f,
+    // Half a viewport over the tangent of half the field of view: 1 is 90 degrees.
+    focal_x: f32,
+    up: vec3f,
+    focal_y: f32,
+    backward: vec3f,
+    // Distance of the near plane; the far one is infinitely far.
+    near: f32,
+    // Toward the sun.
+    sun: vec3f,
+    // Share of light that comes from everywhere.
+    ambient: f32,
+    // sRGB, 0 to 1, where no planet is.
+    background: vec3f,
+    // Factor on heights.
+    exaggeration: f32,
+    // Pixels.
+    viewport: vec2u,
+    equatorial_radius: f32,
+    // First eccentricity squared.
+    eccentricity2: f32,
+    // Radians to a pixel at the center.
+    pixel_angle: f32,
+    // Datasets of heights; those of colors follow them.
+    heights: u32,
+    // Datasets in all.
+    datasets: u32,
+    // Levels added to what the footprint asks for.
+    lod_bias: f32,
+}
+
+@group(0) @binding(0) var<uniform> scene: Scene;
+
+// Reversed depth: 1 at the near plane, 0 infinitely far.
+fn clip_from_eye(position: vec3f) -> vec4f {
+    return vec4f(
+        scene.focal_x * dot(scene.right, position),
+        scene.focal_y * dot(scene.up, position),
+        scene.near,
+        -dot(scene.backward, position),
+    );
+}

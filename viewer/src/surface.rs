@@ -1,0 +1,178 @@
+//! The composed surface on the CPU, in f64: what the shaders compute, from the same pages.
+//!
+//! A dataset answers at a place with the blend of two neighboring levels, each from the finest page
+//! in memory that is not finer than it; the datasets are composed by
+//! [`areoid_formats::compose`]. The renderer takes the heights of patch corners from here, and the
+//! tests the whole picture.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use areoid_cache::{DatasetInfo, ResidentPage, Selection};
+use areoid_formats::address::{Level, PageAddress, PageKey};
+use areoid_formats::compose::{Layer, compose};
+use areoid_formats::geodesy::Geographic;
+use areoid_formats::grid::TexelPoint;
+use areoid_formats::page::{Kind, Reconstruction};
+
+/// The pages of a selection, found by place.
+#[derive(Debug)]
+pub struct Surface {
+    datasets: Arc<[DatasetInfo]>,
+    pages: HashMap<(usize, PageKey), Arc<ResidentPage>>,
+    /// Datasets of each kind that have a page at all.
+    present: Vec<usize>,
+}
+
+/// A composed value of a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePoint {
+    /// Meters in the first number, or color codes.
+    pub value: [f64; 3],
+    /// How far it may be from the composition of the finest levels.
+    pub bound: f64,
+    /// The level used in the dataset with the largest share.
+    pub level: f64,
+}
+
+impl Surface {
+    /// The surface that a selection's pages make.
+    #[must_use]
+    pub fn new(selection: &Selection) -> Self {
+        let pages: HashMap<_, _> = selection
+            .pages
+            .iter()
+            .map(|page| ((page.dataset, PageKey::from(page.entry.page)), Arc::clone(page)))
+            .collect();
+        let mut present: Vec<usize> = pages.keys().map(|&(dataset, _)| dataset).collect();
+        present.sort_unstable();
+        present.dedup();
+        Self { datasets: Arc::clone(&selection.datasets), pages, present }
+    }
+
+    /// The composition of all datasets of `kind`, seen at `footprint_m` ground meters to a sample:
+    /// 0 asks for the finest there is.
+    #[must_use]
+    pub fn compose(
+        &self,
+        kind: Kind,
+        position: Geographic,
+        footprint_m: f64,
+    ) -> Option<SurfacePoint> {
+        let mut layers = Vec::with_capacity(self.present.len());
+        let mut levels = Vec::with_capacity(self.present.len());
+        for &dataset in self.present.iter().filter(|&&i| self.datasets[i].kind == kind) {
+            let info = &self.datasets[dataset];
+            let (largest, _) = info.grid.crs().principal_scales(position, info.grid.pixel_size());
+            let finest = f64::from(info.grid.pyramid().finest().0);
+            let halvings = (footprint_m / largest).log2().max(0.0);
+            let wanted = (finest - halvings).max(0.0);
+            let Some((found, bound, level)) = self.blend(dataset, position, wanted) else {
+                continue;
+            };
+            let quality = info.grid.quality(position);
+            let (coverage, value) = (found.coverage, found.value);
+            let (priority, weight, coverage_bound) = (info.priority, 1.0, 0.0);
+            layers.push(Layer {
+                priority,
+                quality,
+                coverage,
+                weight,
+                value,
+                bound,
+                coverage_bound,
+            });
+            levels.push(level);
+        }
+        let composed = compose(&layers)?;
+        let shares = composed.shares.iter().zip(&levels);
+        let (_, &level) = shares.max_by(|(a, _), (b, _)| a.total_cmp(b))?;
+        Some(SurfacePoint { value: composed.value, bound: composed.bound, level })
+    }
+
+    /// The blend of the two levels about `wanted`, with its bound and the level it comes from.
+    fn blend(
+        &self,
+        dataset: usize,
+        position: Geographic,
+        wanted: f64,
+    ) -> Option<(Reconstruction, f64, f64)> {
+        let grid = &self.datasets[dataset].grid;
+        let finest = grid.pyramid().finest();
+        let place = grid.locate(finest, position)?;
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a level of the grid, between 0 and 32"
+        )]
+        let upper = wanted.ceil() as u8;
+        let fine = self.sample(dataset, place, Level(upper));
+        let toward_coarse = f64::from(upper) - wanted;
+        if toward_coarse == 0.0 {
+            return fine.map(|(found, page)| {
+                let level = f64::from(page.entry.page.level.0);
+                (found, f64::from(page.entry.bound), level)
+            });
+        }
+        let coarse = self.sample(dataset, place, Level(upper - 1));
+        let level_of = |page: &ResidentPage| wanted.min(f64::from(page.entry.page.level.0));
+        match (fine, coarse) {
+            (Some((mut found, page)), Some((other, other_page))) => {
+                let mix = |a: f64, b: f64| a + (b - a) * toward_coarse;
+                for (value, &other) in found.value.iter_mut().zip(&other.value) {
+                    *value = mix(*value, other);
+                }
+                found.coverage = mix(found.coverage, other.coverage);
+                found.valid_weight = mix(found.valid_weight, other.valid_weight);
+                let bound = mix(f64::from(page.entry.bound), f64::from(other_page.entry.bound));
+                Some((found, bound, level_of(page)))
+            }
+            (Some((found, page)), None) | (None, Some((found, page))) => {
+                Some((found, f64::from(page.entry.bound), level_of(page)))
+            }
+            (None, None) => None,
+        }
+    }
+
+    /// The finest page in memory at most as fine as `level`, read at a place of the finest level.
+    fn sample(
+        &self,
+        dataset: usize,
+        place: TexelPoint,
+        level: Level,
+    ) -> Option<(Reconstruction, &ResidentPage)> {
+        let grid = &self.datasets[dataset].grid;
+        (0..=level.0).rev().map(Level).find_map(|level| {
+            let halvings = grid.pyramid().halvings(level);
+            let scale = 0.5_f64.powi(i32::try_from(halvings).unwrap_or(i32::MAX));
+            let point = TexelPoint { x: place.x * scale, y: place.y * scale };
+            let window = grid.window_from_texel(level, point);
+            let page = self.page(dataset, window.page)?;
+            Some(page.page.reconstruct(window.x, window.y).map(|found| (found, page)))
+        })?
+    }
+
+    fn page(&self, dataset: usize, page: PageAddress) -> Option<&ResidentPage> {
+        self.pages.get(&(dataset, PageKey::from(page))).map(Arc::as_ref)
+    }
+
+    /// The pages, in no order.
+    pub(crate) fn pages(&self) -> impl Iterator<Item = &Arc<ResidentPage>> {
+        self.pages.values()
+    }
+
+    /// What the pages belong to.
+    pub(crate) fn datasets(&self) -> &Arc<[DatasetInfo]> {
+        &self.datasets
+    }
+
+    /// The least and greatest height of the finest texels, or of the reference surface.
+    pub(crate) fn height_range_m(&self) -> (f64, f64) {
+        let heights = self.pages.values().filter(|page| {
+            self.datasets[page.dataset].kind == Kind::Height && page.entry.lowest.is_finite()
+        });
+        heights.fold((0.0, 0.0), |(low, high), page| {
+            (low.min(f64::from(page.entry.lowest)), high.max(f64::from(page.entry.highest)))
+        })
+    }
+}
