@@ -10,7 +10,13 @@
 mod support;
 
 mod laws {
+    mod analytic;
+    mod bytes;
+    mod nodata;
     mod pages;
     mod planets;
+    mod registration;
     mod shapes;
+    mod truth;
+    mod verification;
 }
