@@ -121,10 +121,9 @@ impl Levels {
     pub(crate) fn texel(&self, halvings: usize, channel: usize, row: i64, col: i64) -> f32 {
         let level = &self.levels[halvings];
         let plane = &level.planes[channel];
-        let taps = self.extended(halvings, row, col);
-        if let [(place, _)] = taps[..] {
-            return plane[place];
-        }
+        let Extended { place, next } = self.extended(halvings, row, col);
+        let Some((next, below)) = next else { return plane[place] };
+        let taps = [(place, 1.0 - below), (next, below)];
         let valid = || taps.iter().filter(|&&(place, _)| level.coverage[place] != 0);
         let weight: f64 = valid().map(|tap| tap.1).sum();
         if weight < 1.0 / 512.0 {
@@ -141,55 +140,59 @@ impl Levels {
     /// The coverage at any row and column of the extended level.
     pub(crate) fn coverage(&self, halvings: usize, row: i64, col: i64) -> u8 {
         let coverage = &self.levels[halvings].coverage;
-        let taps = self.extended(halvings, row, col);
-        if let [(place, _)] = taps[..] {
-            return coverage[place];
-        }
-        let sum: f64 = taps.iter().map(|&(at, weight)| weight * f64::from(coverage[at])).sum();
+        let Extended { place, next } = self.extended(halvings, row, col);
+        let Some((next, below)) = next else { return coverage[place] };
+        let sum = f64::from(coverage[place]) * (1.0 - below) + f64::from(coverage[next]) * below;
         if sum == 0.0 { 0 } else { sum.round_ties_even().clamp(1.0, 255.0) as u8 }
     }
 
-    /// Where a texel of the extended level comes from: places in the level, and their weights.
-    fn extended(&self, halvings: usize, row: i64, col: i64) -> Vec<(usize, f64)> {
+    /// Where a texel of the extended level comes from.
+    fn extended(&self, halvings: usize, row: i64, col: i64) -> Extended {
         let level = &self.levels[halvings];
         let (width, height) = (level.width as i64, level.height as i64);
-        let mut turned = false;
-        let mut rows = vec![(row, 1.0)];
-        if !(0..height).contains(&row) {
-            // The texel's center in finest texels from the top, turned over poles until it is back.
-            let scale = (1_i64 << halvings) as f64;
-            let mut y = (row as f64 + 0.5) * scale;
-            let bottom = self.shape.height as f64;
-            let repeated = loop {
-                let (edge, pole) = match y {
-                    _ if y < 0.0 => (self.shape.north, [0.0, 0.5]),
-                    _ if y > bottom => (self.shape.south, [bottom, bottom - 0.5]),
-                    _ => break None,
-                };
-                match edge {
-                    Edge::Repeat => break Some(if y < 0.0 { 0 } else { height - 1 }),
-                    Edge::PoleOnOutline => y = 2.0 * pole[0] - y,
-                    Edge::PoleOnPosts => y = 2.0 * pole[1] - y,
-                }
-                turned = !turned;
-            };
-            rows = match repeated {
-                Some(row) => vec![(row, 1.0)],
-                None => {
-                    let t = (y / scale - 0.5).clamp(0.0, (height - 1) as f64);
-                    let below = t - t.floor();
-                    let pair = [(t.floor() as i64, 1.0 - below), (t.floor() as i64 + 1, below)];
-                    pair.into_iter().filter(|&(_, weight)| weight != 0.0).collect()
-                }
-            };
-        }
+        let (turned, row, below) = self.extended_row(halvings, row, height);
         let col = match (self.shape.wraps, turned) {
             (true, true) => (col + width / 2).rem_euclid(width),
             (true, false) => col.rem_euclid(width),
             (false, _) => col.clamp(0, width - 1),
         };
-        rows.into_iter().map(|(row, weight)| ((row * width + col) as usize, weight)).collect()
+        let place = (row * width + col) as usize;
+        Extended { place, next: (below != 0.0).then_some((place + level.width, below)) }
     }
+
+    /// Whether a row of the extended level lies past a pole, the row of the level that it is, and
+    /// how much of the next one it has.
+    fn extended_row(&self, halvings: usize, row: i64, height: i64) -> (bool, i64, f64) {
+        if (0..height).contains(&row) {
+            return (false, row, 0.0);
+        }
+        // The texel's center in finest texels from the top, turned over poles until it is back.
+        let scale = (1_i64 << halvings) as f64;
+        let mut y = (row as f64 + 0.5) * scale;
+        let bottom = self.shape.height as f64;
+        let mut turned = false;
+        while !(0.0..=bottom).contains(&y) {
+            let (edge, repeated, posts) = match y < 0.0 {
+                true => (self.shape.north, 0, 0.5),
+                false => (self.shape.south, height - 1, bottom - 0.5),
+            };
+            y = match edge {
+                Edge::Repeat => return (turned, repeated, 0.0),
+                Edge::PoleOnOutline if y < 0.0 => -y,
+                Edge::PoleOnOutline => 2.0 * bottom - y,
+                Edge::PoleOnPosts => 2.0 * posts - y,
+            };
+            turned = !turned;
+        }
+        let t = (y / scale - 0.5).clamp(0.0, (height - 1) as f64);
+        (turned, t.floor() as i64, t - t.floor())
+    }
+}
+
+/// A texel of a level, or the mean of it and the one below with that one's weight.
+struct Extended {
+    place: usize,
+    next: Option<(usize, f64)>,
 }
 
 /// The nearest value on the step, ties to even.
