@@ -29,6 +29,8 @@ enum Command {
     Remove(crate::remove::Args),
     #[cfg(feature = "viewer")]
     Snapshot(crate::snapshot::Args),
+    #[cfg(feature = "viewer")]
+    View(crate::view::Args),
 }
 
 impl Cli {
@@ -42,6 +44,8 @@ impl Cli {
             Command::Remove(args) => args.run(),
             #[cfg(feature = "viewer")]
             Command::Snapshot(args) => args.run(),
+            #[cfg(feature = "viewer")]
+            Command::View(args) => args.run(),
         }
     }
 }

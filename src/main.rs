@@ -13,6 +13,8 @@ mod resources;
 #[cfg(feature = "viewer")]
 mod snapshot;
 mod verify;
+#[cfg(feature = "viewer")]
+mod view;
 
 use std::process::ExitCode;
 

@@ -28,39 +28,45 @@ struct Scene {
     eye: [f64; 3],
     target: [f64; 3],
     sun: [f64; 2],
+    fov_deg: f64,
 }
 
 /// The views of the demo.
 const SCENES: [Scene; 5] = [
     Scene {
         name: "disc",
-        eye: [-75.0, 0.0, 8_200_000.0],
-        target: [-75.0, 0.0, 0.0],
-        sun: [-105.0, 20.0],
+        eye: [-90.0, 5.0, 7_400_000.0],
+        target: [-90.0, 5.0, 0.0],
+        sun: [-110.0, 20.0],
+        fov_deg: 45.0,
     },
     Scene {
         name: "olympus_mons",
-        eye: [-137.0, 4.0, 900_000.0],
-        target: [-133.8, 18.0, 0.0],
-        sun: [-190.0, 30.0],
+        eye: [-138.0, 7.0, 900_000.0],
+        target: [-133.8, 17.6, 0.0],
+        sun: [-75.0, 5.0],
+        fov_deg: 30.0,
     },
     Scene {
         name: "valles_marineris",
-        eye: [-72.0, -26.0, 900_000.0],
-        target: [-70.0, -11.0, 0.0],
-        sun: [-130.0, 25.0],
+        eye: [-80.0, -24.0, 1_000_000.0],
+        target: [-69.0, -11.5, 0.0],
+        sun: [-15.0, 5.0],
+        fov_deg: 30.0,
     },
     Scene {
         name: "north_pole",
         eye: [0.0, 90.0, 3_000_000.0],
         target: [0.0, 90.0, 0.0],
-        sun: [60.0, 35.0],
+        sun: [60.0, 40.0],
+        fov_deg: 45.0,
     },
     Scene {
         name: "south_pole",
         eye: [0.0, -90.0, 3_000_000.0],
         target: [0.0, -90.0, 0.0],
-        sun: [60.0, -35.0],
+        sun: [60.0, -40.0],
+        fov_deg: 45.0,
     },
 ];
 
@@ -100,7 +106,7 @@ fn snapshot(scene: &Scene, size: &str, picture: &Path, aovs: &[(&str, &Path)]) {
     let mut command = areoid();
     command.arg("snapshot").arg(&CATALOG.1).arg("-o").arg(picture).args(["--size", size]);
     command.arg("--eye").arg(list(&scene.eye)).arg("--target").arg(list(&scene.target));
-    command.arg("--sun").arg(list(&scene.sun));
+    command.arg("--sun").arg(list(&scene.sun)).arg("--fov-deg").arg(scene.fov_deg.to_string());
     for (name, path) in aovs {
         command.arg("--aov").arg(format!("{name}={}", path.display()));
     }
@@ -123,7 +129,7 @@ fn positions_and_heights_are_those_of_the_composed_surface() {
         assert_eq!(positions.shape, [SIDE, SIDE, 3]);
         assert_eq!((heights.shape.as_slice(), geographic.shape.len()), (&[SIDE, SIDE][..], 3));
 
-        let camera = Camera::new(scene.eye, scene.target, SIDE);
+        let camera = Camera::new(scene.eye, scene.target, scene.fov_deg, SIDE);
         let mut query = HeightQuery::new(&archives, None);
         let (mut on_planet, mut off, mut differ) = (0, 0, 0);
         for row in (0..SIDE).step_by(4) {

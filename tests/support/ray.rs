@@ -1,7 +1,5 @@
 //! A ray caster in f64: rays of a camera, marched to the composed heights of a catalog of Mars.
 
-use std::f64::consts::FRAC_PI_4;
-
 use areoid_formats::geodesy::Geographic;
 use areoid_formats::query::HeightQuery;
 use areoid_formats::units::Radians;
@@ -13,7 +11,7 @@ pub(crate) const MARS_RADIUS: f64 = 3_396_190.0;
 /// No height of Mars is above this.
 const HIGHEST: f64 = 24_000.0;
 
-/// A camera with a field of view of 45°.
+/// A camera of square pixels.
 pub(crate) struct Camera {
     pub(crate) eye: DVec3,
     right: DVec3,
@@ -40,7 +38,7 @@ fn point([longitude, latitude, height]: [f64; 3]) -> DVec3 {
 
 impl Camera {
     /// At `eye`, looking at `target` (degrees, meters), the zenith up; straight down, north up.
-    pub(crate) fn new(eye: [f64; 3], target: [f64; 3], side: usize) -> Self {
+    pub(crate) fn new(eye: [f64; 3], target: [f64; 3], fov_deg: f64, side: usize) -> Self {
         let at = point(eye);
         let forward = (point(target) - at).normalize();
         let (sin, cos) = eye[0].to_radians().sin_cos();
@@ -50,7 +48,7 @@ impl Camera {
         let right = forward.cross(if straight { north } else { zenith }).normalize();
         let up = right.cross(forward);
         let side = side as f64;
-        let pixel_angle = 2.0 * (FRAC_PI_4 / 2.0).tan() / side;
+        let pixel_angle = 2.0 * (fov_deg.to_radians() / 2.0).tan() / side;
         Self { eye: at, right, up, forward, side, pixel_angle }
     }
 

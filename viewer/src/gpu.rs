@@ -31,13 +31,22 @@ pub enum GpuError {
 impl Gpu {
     /// A device without a window.
     ///
+    /// GL is asked only where Vulkan has none: its libraries look for a window system and complain
+    /// on stderr that there is none.
+    ///
     /// # Errors
     ///
     /// Any [`GpuError`].
     pub fn headless() -> Result<Self, GpuError> {
-        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-        descriptor.backends = wgpu::Backends::VULKAN | wgpu::Backends::GL;
-        Self::from_instance(&wgpu::Instance::new(descriptor), None)
+        let ask = |backends| {
+            let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+            descriptor.backends = backends;
+            Self::from_instance(&wgpu::Instance::new(descriptor), None)
+        };
+        match ask(wgpu::Backends::VULKAN) {
+            Err(GpuError::NoAdapter) => ask(wgpu::Backends::GL),
+            answer => answer,
+        }
     }
 
     /// A device of `instance` that can present to `surface`.
