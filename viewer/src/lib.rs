@@ -29,6 +29,12 @@ mod render;
 pub mod window;
 
 #[cfg(test)]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::print_stdout,
+    reason = "tests round small known numbers and say how exact they are"
+)]
 mod testing;
 
 pub use gpu::{Gpu, GpuError};

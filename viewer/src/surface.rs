@@ -16,7 +16,7 @@ use areoid_formats::grid::TexelPoint;
 use areoid_formats::page::{Kind, Reconstruction};
 
 /// The pages of a selection, found by place.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Surface {
     datasets: Arc<[DatasetInfo]>,
     pages: HashMap<(usize, PageKey), Arc<ResidentPage>>,

@@ -58,11 +58,7 @@ impl Frame {
         Self { origin, axes: axes_at(normal), height_m, reach: 0.0 }
     }
 
-    /// The frame for the shaders of one view.
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "offsets from the eye, not from the center"
-    )]
+    /// The frame for the shaders of one view: rounded to `f32` as an offset from the eye.
     pub(crate) fn seen_from(&self, eye: DVec3) -> mirror::Frame {
         mirror::Frame {
             origin: (self.origin - eye).as_vec3().to_array(),

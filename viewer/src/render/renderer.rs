@@ -91,7 +91,7 @@ pub struct Renderer {
     resident: Resident,
     mesh: Mesh,
     detail: Detail,
-    surface: Option<Surface>,
+    surface: Surface,
     /// What `surface` was made of.
     known: Option<Known>,
     scene: wgpu::Buffer,
@@ -140,7 +140,7 @@ impl Renderer {
             resident: Resident::new(gpu, ATLAS_BYTES),
             mesh: Mesh::default(),
             detail: Detail::default(),
-            surface: None,
+            surface: Surface::default(),
             known: None,
             scene: gpu.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("scene"),
@@ -176,8 +176,8 @@ impl Renderer {
         options: &Options,
     ) -> FrameStatistics {
         let brought = self.follow(selection, options);
-        let surface = self.surface.as_ref().expect("follow makes one");
-        self.mesh.build(view, self.ellipsoid, surface, &mut self.detail, &self.resident.maps);
+        let maps = &self.resident.maps;
+        self.mesh.build(view, self.ellipsoid, &self.surface, &mut self.detail, maps);
         self.write_scene(view, light, options);
         self.draw(view);
         self.drawn = Some(*view);
@@ -222,8 +222,7 @@ impl Renderer {
     #[must_use]
     pub fn height_m(&self, normal: DVec3) -> f64 {
         let place = geographic_from_normal(normal);
-        let found =
-            self.surface.as_ref().and_then(|surface| surface.compose(Kind::Height, place, 0.0));
+        let found = self.surface.compose(Kind::Height, place, 0.0);
         found.map_or(0.0, |found| self.exaggeration * found.value[0])
     }
 
@@ -257,9 +256,8 @@ impl Renderer {
         if grown {
             self.scene_group = None;
         }
-        let surface = Surface::new(selection);
-        self.detail.renew(&surface, options.vertical_exaggeration);
-        self.surface = Some(surface);
+        self.surface = Surface::new(selection);
+        self.detail.renew(&self.surface, options.vertical_exaggeration);
         self.exaggeration = options.vertical_exaggeration;
         self.known = Some(Known { pending: brought.put_off > 0, ..known });
         brought

@@ -430,7 +430,7 @@ fn neighbors_meet_to_the_bit() {
                     let step = if first.abs_diff(last) == 1 { step - step % 2 } else { step };
                     let own = (first * (steps - step) + last * step) / 2;
                     assert_eq!(*on_edge.entry((patch.edges[side], own)).or_insert(vertex), vertex);
-                    if 2 * own % steps == 0 {
+                    if (2 * own).is_multiple_of(steps) {
                         let corner = edge.frames[2 * own / steps];
                         assert_eq!(*at_corner.entry(corner).or_insert(vertex), vertex);
                     }
