@@ -85,13 +85,13 @@ fn check_entry(bytes: &[u8], entry: &PageEntry) {
     }
     assert_eq!(flags >> 1, u64::from(entry.full));
     for (field, value) in [
-        ("valid_fraction", entry.valid_fraction),
+        ("valid fraction", entry.valid_fraction),
         ("min", entry.min),
         ("max", entry.max),
         ("lowest", entry.lowest),
         ("highest", entry.highest),
         ("bound", entry.bound),
-        ("source_error", entry.source_error),
+        ("source error", entry.source_error),
     ] {
         assert_eq!(table.float(bytes, field).to_bits(), value.to_bits(), "{field}");
     }

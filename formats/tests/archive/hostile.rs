@@ -92,7 +92,8 @@ fn a_forged_trailer_is_survived() {
     let small = small();
     let good = trailer(&small.bytes);
     let length = good.file_len;
-    let fields: [(&str, fn(&mut Trailer) -> &mut u64); 8] = [
+    type Field = fn(&mut Trailer) -> &mut u64;
+    let fields: [(&str, Field); 8] = [
         ("archive", |t| &mut t.archive),
         ("records", |t| &mut t.records),
         ("index", |t| &mut t.index),
