@@ -89,7 +89,8 @@ fn the_seams_have_one_height() {
                 }
             }
             for pole in [90.0, -90.0] {
-                let around: Vec<[f64; 2]> = (0..720).map(|half| [f64::from(half) / 2.0, pole]).collect();
+                let around: Vec<[f64; 2]> =
+                    (0..720).map(|half| [f64::from(half) / 2.0, pole]).collect();
                 let inside: Vec<[f64; 2]> =
                     around.iter().map(|point| [point[0], pole * (1.0 - 1e-12)]).collect();
                 let (on, near) = (at(&around), at(&inside));

@@ -40,7 +40,8 @@ fn made_up(
     let mut random = Random(seed);
     let blocks: Vec<(usize, usize, usize)> = (0..5)
         .map(|_| {
-            let place = |length: usize, random: &mut Random| (random.unit() * length as f64) as usize;
+            let place =
+                |length: usize, random: &mut Random| (random.unit() * length as f64) as usize;
             (place(size.0, &mut random), place(size.1, &mut random), place(9, &mut random))
         })
         .collect();
@@ -52,9 +53,9 @@ fn made_up(
                 Random(seed ^ ((row >> halvings) << 20 | (col >> halvings)) as u64).unit() < 0.25
             }
             Holes::Scattered(share) => random.unit() < share,
-            Holes::Blocks => blocks
-                .iter()
-                .any(|&(top, left, side)| row.wrapping_sub(top) < side && col.wrapping_sub(left) < side),
+            Holes::Blocks => blocks.iter().any(|&(top, left, side)| {
+                row.wrapping_sub(top) < side && col.wrapping_sub(left) < side
+            }),
         };
         if hole {
             return f32::NAN;
@@ -62,14 +63,28 @@ fn made_up(
         let noise = (random.unit() * 2000.0).round() - 1000.0;
         let whole = match relief {
             Relief::Noise => noise,
-            Relief::Smooth => (40.0 * (row as f64 / 5.0).sin() * col as f64 + noise / 100.0).round(),
-            Relief::TwoValues => if noise > 0.0 { 1.0 } else { 0.0 },
+            Relief::Smooth => {
+                (40.0 * (row as f64 / 5.0).sin() * col as f64 + noise / 100.0).round()
+            }
+            Relief::TwoValues => {
+                if noise > 0.0 {
+                    1.0
+                } else {
+                    0.0
+                }
+            }
             Relief::Coarse(halvings) => {
                 let place = ((row >> halvings) << 20 | (col >> halvings)) as u64;
                 let common = (Random(!seed ^ place).unit() * 2.0).round() * 500.0;
                 if noise > 900.0 { -noise } else { common }
             }
-            Relief::Spikes => if noise > 950.0 { 30_000.0 } else { -7.0 },
+            Relief::Spikes => {
+                if noise > 950.0 {
+                    30_000.0
+                } else {
+                    -7.0
+                }
+            }
         };
         // No negative zero: which zero a mean is, no law says.
         (whole * fraction) as f32 + 0.0
@@ -125,12 +140,8 @@ impl Recipe {
 }
 
 fn any_recipe() -> impl Strategy<Value = Recipe> {
-    let step = prop::sample::select(vec![
-        None,
-        Some((1.0, 0.0)),
-        Some((10.0, 0.0)),
-        Some((0.5, 100.25)),
-    ]);
+    let step =
+        prop::sample::select(vec![None, Some((1.0, 0.0)), Some((10.0, 0.0)), Some((0.5, 100.25))]);
     let side = prop::sample::select(vec![8, 10, 12, 18]);
     // Widths around the body halve often enough, others need not.
     let size = (1..70_usize, 1..60_usize);

@@ -77,11 +77,13 @@ fn a_polar_map_with_nan_outside_a_disc() {
         let height = 1000.0 * (x / 30.0).sin() * (y / 50.0).cos() + random.unit();
         if inside { height as f32 } else { f32::NAN }
     });
-    let outline =
-        Outline { origin: [-2_005_000.0, 1_665_000.0], pixel_size: [10_000.0; 2], ..raster.outline };
+    let outline = Outline {
+        origin: [-2_005_000.0, 1_665_000.0],
+        pixel_size: [10_000.0; 2],
+        ..raster.outline
+    };
     for samples in [Samples::Float32, Samples::Float32With(3.4e38)] {
-        let writing =
-            Writing { outline, projected: Some(3031), ..Writing::of(&raster, samples) };
+        let writing = Writing { outline, projected: Some(3031), ..Writing::of(&raster, samples) };
         check(&raster, writing, &["--page-size", "66"]);
     }
 }
@@ -98,11 +100,8 @@ fn a_globe_of_posts_whose_last_column_repeats_the_first() {
             (planet(longitude, latitude) + noise).round() as f32
         });
         for points in [false, true] {
-            let writing = Writing {
-                points,
-                closed: true,
-                ..Writing::of(&raster, Samples::Int16(i16::MIN))
-            };
+            let writing =
+                Writing { points, closed: true, ..Writing::of(&raster, Samples::Int16(i16::MIN)) };
             check(&raster, writing, &["--page-size", "66"]);
         }
     }

@@ -48,11 +48,11 @@ impl Ramp {
     /// Queries at all centers and in between.
     fn check(&self, catalog: &Path) {
         let (rows, cols) = self.size;
-        let at = |x: f64, y: f64| {
-            [self.first[0] + x * self.pixel[0], self.first[1] - y * self.pixel[1]]
-        };
-        let centers: Vec<[f64; 2]> =
-            (0..rows * cols).map(|place| at((place % cols) as f64, (place / cols) as f64)).collect();
+        let at =
+            |x: f64, y: f64| [self.first[0] + x * self.pixel[0], self.first[1] - y * self.pixel[1]];
+        let centers: Vec<[f64; 2]> = (0..rows * cols)
+            .map(|place| at((place % cols) as f64, (place / cols) as f64))
+            .collect();
         let mut random = Random(8);
         let between: Vec<[f64; 2]> = (0..500)
             .map(|_| at(random.unit() * (cols - 1) as f64, random.unit() * (rows - 1) as f64))

@@ -10,9 +10,12 @@ const POSTS: Place = Place::Globe(Edge::PoleOnPosts, Edge::PoleOnPosts);
 
 /// The field on a region, a belt and globes, lossless, on a step that loses, and as floats.
 fn check(field: impl Fn(usize, usize) -> f32) {
-    for (place, size) in
-        [(Place::Region, (61, 133)), (Place::Belt, (47, 128)), (AREAS, (64, 128)), (POSTS, (65, 128))]
-    {
+    for (place, size) in [
+        (Place::Region, (61, 133)),
+        (Place::Belt, (47, 128)),
+        (AREAS, (64, 128)),
+        (POSTS, (65, 128)),
+    ] {
         for step in [METERS, Some((10.0, 0.0)), None] {
             let raster = Raster::new(place, size, step, &field);
             for page_side in [10, 34] {

@@ -3,7 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use areoid_formats::archive::record::{ALIGNMENT, Marker, RECORD_HEAD_LEN, RecordHead, parse_head, record_len};
+use areoid_formats::archive::record::{
+    ALIGNMENT, Marker, RECORD_HEAD_LEN, RecordHead, parse_head, record_len,
+};
 use areoid_formats::archive::{Archive, ArchiveWriter, PageEntry, Written};
 use areoid_formats::catalog::{Build, Catalog, NewDataset, RealDisk, publish_build};
 use serde_json::Value;
@@ -90,7 +92,8 @@ fn a_bound_halved_by_hand_is_found() {
         if hole { f32::NAN } else { (random.unit() * 900.0).round() as f32 }
     });
     let folder = TempDir::new().unwrap();
-    let file = Writing::of(&raster, Samples::Int16(-9999)).write(&raster, folder.path(), "raster.tif");
+    let file =
+        Writing::of(&raster, Samples::Int16(-9999)).write(&raster, folder.path(), "raster.tif");
     let catalog = folder.path().join("catalog");
     ingest(&catalog, &file, &["--page-size", "18"]);
     assert_verified(&catalog, &file);
@@ -106,10 +109,16 @@ fn a_bound_halved_by_hand_is_found() {
     // One page of each level that has a bound: both the root's and its children's are watched.
     for level in 0..finest.0 {
         let entries = archive.entries().unwrap();
-        let victim = entries.iter().filter(|entry| entry.page.level.0 == level).last().unwrap().page;
-        let (damaged, written) = rewritten(&bytes, &archive, |entry| {
-            if entry.page == victim { halved(entry) } else { entry }
-        });
+        let victim =
+            entries.iter().filter(|entry| entry.page.level.0 == level).last().unwrap().page;
+        let (damaged, written) =
+            rewritten(
+                &bytes,
+                &archive,
+                |entry| {
+                    if entry.page == victim { halved(entry) } else { entry }
+                },
+            );
         replace(&catalog, &damaged, &written);
         let found = complaints(&catalog, &[]);
         assert!(found.contains("law 1") || found.contains("law 2"), "{found}");
@@ -118,9 +127,14 @@ fn a_bound_halved_by_hand_is_found() {
         complaints(&catalog, &against);
     }
     // Only the level above the leaves: no page below contradicts it, brute force alone does.
-    let (damaged, written) = rewritten(&bytes, &archive, |entry| {
-        if entry.page.level < finest { halved(entry) } else { entry }
-    });
+    let (damaged, written) =
+        rewritten(
+            &bytes,
+            &archive,
+            |entry| {
+                if entry.page.level < finest { halved(entry) } else { entry }
+            },
+        );
     replace(&catalog, &damaged, &written);
     let found = complaints(&catalog, &[]);
     assert!(found.contains("law 1") && !found.contains("law 2"), "{found}");

@@ -54,7 +54,9 @@ pub(crate) fn heights(catalog: &Path, points: &[[f64; 2]], options: &[&str]) -> 
 /// Holds a catalog against all laws, and its dataset `raster` against the file it was made from.
 pub(crate) fn assert_verified(catalog: &Path, raster: &Path) {
     let (catalog, raster) = (catalog.to_str().unwrap(), raster.to_str().unwrap());
-    for arguments in [&["verify", catalog][..], &["verify", catalog, "--against", raster, "--dataset", "raster"]] {
+    for arguments in
+        [&["verify", catalog][..], &["verify", catalog, "--against", raster, "--dataset", "raster"]]
+    {
         let report = areoid_json(arguments);
         assert_eq!(report["ok"], true, "{report}");
         assert_eq!(report["problems"].as_array().map(Vec::len), Some(0));

@@ -187,7 +187,10 @@ fn check_window(oracle: &Oracle, pyramid: &Pyramid, entry: &PageEntry, page: &Pa
         let expected = texel(oracle, halvings, (row, col), coverage);
         let stored = stored(page, at);
         assert!(
-            stored.iter().zip(&expected).all(|(s, e)| s.to_bits() == e.to_bits() || s.is_nan() && e.is_nan()),
+            stored
+                .iter()
+                .zip(&expected)
+                .all(|(s, e)| s.to_bits() == e.to_bits() || s.is_nan() && e.is_nan()),
             "law 3: {address} has {stored:?} at texel {row}, {col} of its level, not {expected:?}"
         );
         same &= bits(first.get_or_insert_with(|| expected.clone())) == bits(&expected);

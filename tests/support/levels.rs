@@ -240,9 +240,8 @@ pub(crate) fn feather(shape: Shape, plane: &[f32]) -> Vec<u8> {
 
     // Everything within reach, padded out, and how many invalid texels lie above and left of each.
     let (across, down) = (width + 2 * REACH, height + 2 * REACH);
-    let padded: Vec<bool> = (0..across * down)
-        .map(|at| invalid(at / across - REACH, at % across - REACH))
-        .collect();
+    let padded: Vec<bool> =
+        (0..across * down).map(|at| invalid(at / across - REACH, at % across - REACH)).collect();
     let mut sums = vec![0_u32; ((across + 1) * (down + 1)) as usize];
     for row in 0..down {
         let mut line = 0;
@@ -268,9 +267,9 @@ pub(crate) fn feather(shape: Shape, plane: &[f32]) -> Vec<u8> {
         if !any_near(row, col) {
             return 255;
         }
-        let nearest = around.iter().find(|(y, x)| {
-            padded[((row + REACH + y) * across + col + REACH + x) as usize]
-        });
+        let nearest = around
+            .iter()
+            .find(|(y, x)| padded[((row + REACH + y) * across + col + REACH + x) as usize]);
         let &(y, x) = nearest.unwrap();
         let distance = ((y * y + x * x) as f64).sqrt() - 0.5;
         ((distance / 32.0).min(1.0) * 255.0).round().max(1.0) as u8

@@ -68,9 +68,8 @@ impl Raster {
 
     pub(crate) fn archive_bytes(&self, page_side: u32) -> Vec<u8> {
         let kind = if self.planes.len() == 1 { Kind::Height } else { Kind::Color };
-        let quantum = self.step.map_or(Quantum::NONE, |(step, offset)| {
-            Quantum::new(step, offset).unwrap()
-        });
+        let quantum =
+            self.step.map_or(Quantum::NONE, |(step, offset)| Quantum::new(step, offset).unwrap());
         let description = Description {
             dataset: "made-up".to_owned(),
             kind,
@@ -172,7 +171,9 @@ pub(crate) fn planet(longitude_rad: f64, latitude_rad: f64) -> f64 {
     let harmonic = |order: i32, power: i32, phase: f64| {
         cos.powi(order) * sin.powi(power) * (f64::from(order) * longitude_rad + phase).cos()
     };
-    2500.0 * harmonic(0, 1, 0.0) + 900.0 * harmonic(1, 0, 0.3) + 1100.0 * harmonic(1, 2, 1.0)
+    2500.0 * harmonic(0, 1, 0.0)
+        + 900.0 * harmonic(1, 0, 0.3)
+        + 1100.0 * harmonic(1, 2, 1.0)
         + 700.0 * harmonic(2, 3, 2.0)
         + 500.0 * harmonic(5, 1, 4.0)
         + 300.0 * harmonic(8, 0, 5.0)
