@@ -13,8 +13,8 @@ use crate::output;
 /// Show a catalog in a window.
 ///
 /// Drag with the left button, or use the arrow keys, to move the ground; turn the wheel, or press
-/// + and -, to come nearer; drag with the right button, or with Shift, to turn and tilt. N turns
-/// north ahead, E exaggerates heights, Esc ends.
+/// plus and minus, to come nearer; drag with the right button, or with Shift, to turn and tilt. N
+/// turns north ahead, E exaggerates heights, Esc ends.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The catalog.

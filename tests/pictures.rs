@@ -163,7 +163,6 @@ fn positions_and_heights_are_those_of_the_composed_surface() {
                 differ += usize::from(!close);
             }
         }
-        println!("{}: {on_planet} rays, {differ} differ, {off} off the planet", scene.name);
         assert!(on_planet > 5_000, "{}: {on_planet} rays meet the planet", scene.name);
         assert!(differ * 1000 <= on_planet, "{}: {differ} of {on_planet} differ", scene.name);
         assert!(off * 1000 <= on_planet, "{}: {off} drawn beside the planet", scene.name);

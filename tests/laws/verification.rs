@@ -110,7 +110,7 @@ fn a_bound_halved_by_hand_is_found() {
     for level in 0..finest.0 {
         let entries = archive.entries().unwrap();
         let victim =
-            entries.iter().filter(|entry| entry.page.level.0 == level).last().unwrap().page;
+            entries.iter().rfind(|entry| entry.page.level.0 == level).unwrap().page;
         let (damaged, written) =
             rewritten(
                 &bytes,
