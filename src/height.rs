@@ -114,8 +114,9 @@ impl Args {
 /// The positions in a CSV file whose first columns are `lon` and `lat`; more may follow.
 fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, Failure> {
     let name = path.display();
-    let text = fs::read_to_string(path)
-        .map_err(|error| std::io::Error::new(error.kind(), format!("cannot read {name}: {error}")))?;
+    let text = fs::read_to_string(path).map_err(|error| {
+        std::io::Error::new(error.kind(), format!("cannot read {name}: {error}"))
+    })?;
     let invalid = |reason: String| Failure::Failed(format!("{name}: {reason}").into());
     let mut lines = text.lines();
     let header: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
@@ -126,7 +127,10 @@ fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, Failure> {
     for (number, line) in lines.enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let mut fields = line.split(',').map(|field| field.trim().parse::<f64>().ok());
         let (Some(Some(lon)), Some(Some(lat))) = (fields.next(), fields.next()) else {
-            return Err(invalid(format!("line {}: expected two numbers, found {line:?}", number + 2)));
+            return Err(invalid(format!(
+                "line {}: expected two numbers, found {line:?}",
+                number + 2
+            )));
         };
         points.push([lon, lat]);
     }

@@ -194,10 +194,7 @@ fn summary(outcome: &Outcome, peak: u64) -> serde_json::Value {
     })
 }
 
-fn largest(
-    outcome: &Outcome,
-    field: fn(&areoid_formats::archive::LevelSummary) -> f32,
-) -> f32 {
+fn largest(outcome: &Outcome, field: fn(&areoid_formats::archive::LevelSummary) -> f32) -> f32 {
     outcome.summary.levels.iter().map(field).fold(0.0, f32::max)
 }
 

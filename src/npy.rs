@@ -28,7 +28,11 @@ element!(u8: "|u1", f32: "<f4", f64: "<f8");
 ///
 /// If `shape` does not hold as many elements as there are.
 pub(crate) fn to_bytes<T: Element>(shape: &[usize], elements: &[T]) -> Vec<u8> {
-    assert_eq!(shape.iter().product::<usize>(), elements.len(), "the shape is that of the elements");
+    assert_eq!(
+        shape.iter().product::<usize>(),
+        elements.len(),
+        "the shape is that of the elements"
+    );
     let shape: Vec<String> = shape.iter().map(|length| format!("{length},")).collect();
     let mut header = format!(
         "{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}",

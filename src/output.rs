@@ -28,7 +28,9 @@ pub(crate) fn say(text: impl std::fmt::Display) {
 
 /// Writes a file so that it appears whole or not at all.
 pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    let failed = |source: io::Error| io::Error::new(source.kind(), format!("cannot write {}: {source}", path.display()));
+    let failed = |source: io::Error| {
+        io::Error::new(source.kind(), format!("cannot write {}: {source}", path.display()))
+    };
     let name = path.file_name().ok_or_else(|| {
         Failure::Misused(format!("{} cannot be written: it names no file", path.display()))
     })?;

@@ -144,8 +144,11 @@ fn encode(path: &Path, page: &Page) -> Result<Vec<u8>, Failure> {
                 .write_image::<colortype::Gray32Float>(length, length, heights)?;
         }
         ("tif" | "tiff", Texels::Color(_)) => {
-            TiffEncoder::new(&mut file)?
-                .write_image::<colortype::RGBA8>(length, length, &rgba(page))?;
+            TiffEncoder::new(&mut file)?.write_image::<colortype::RGBA8>(
+                length,
+                length,
+                &rgba(page),
+            )?;
         }
         ("png", Texels::Height(heights)) => {
             let samples = stretched(heights);

@@ -114,9 +114,8 @@ impl Args {
 
         let picture = renderer.read_color();
         let mut png = Cursor::new(Vec::new());
-        let picture: RgbaImage =
-            ImageBuffer::from_raw(picture.width, picture.height, picture.rgba)
-                .expect("four samples a pixel");
+        let picture: RgbaImage = ImageBuffer::from_raw(picture.width, picture.height, picture.rgba)
+            .expect("four samples a pixel");
         picture.write_to(&mut png, ImageFormat::Png)?;
         let mut files = vec![(self.output.clone(), png.into_inner())];
         if !self.aov.is_empty() {

@@ -28,7 +28,8 @@ fn dependencies(package: &str) -> BTreeSet<String> {
 
 fn assert_depends(package: &str, ours: &[&str], strangers: &[&str]) {
     let found = dependencies(package);
-    let own: BTreeSet<&str> = found.iter().filter_map(|name| name.strip_prefix("areoid-")).collect();
+    let own: BTreeSet<&str> =
+        found.iter().filter_map(|name| name.strip_prefix("areoid-")).collect();
     assert_eq!(own, ours.iter().copied().collect(), "{package}");
     for stranger in strangers {
         assert!(!found.contains(*stranger), "{package} must know nothing of {stranger}");

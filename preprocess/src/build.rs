@@ -130,10 +130,8 @@ pub fn build<W: Write + Send>(
     while let Some(step) = next {
         next = schedule.next();
         leaf_count += step.read.len() as u64;
-        let (done, ahead) = rayon::join(
-            || shop.take(&step, raws, &mut writer),
-            || read(leaves, next.as_ref()),
-        );
+        let (done, ahead) =
+            rayon::join(|| shop.take(&step, raws, &mut writer), || read(leaves, next.as_ref()));
         done?;
         raws = ahead?;
         units_done += 1;
@@ -153,10 +151,7 @@ type ReadLeaf = (PageAddress, Option<Arc<Raw>>);
 /// Reads the leaves of a step, if there is one.
 fn read(leaves: &dyn Leaves, step: Option<&Step>) -> Result<Vec<ReadLeaf>, RasterError> {
     let pages = step.map_or(&[][..], |step| &step.read);
-    pages
-        .par_iter()
-        .map(|&page| Ok((page, leaves.read(page)?.map(Arc::new))))
-        .collect()
+    pages.par_iter().map(|&page| Ok((page, leaves.read(page)?.map(Arc::new)))).collect()
 }
 
 /// What is under construction.

@@ -106,12 +106,11 @@ impl Validity {
                     continue;
                 }
                 let from = pyramid.extended_col(page.level, absolute, source.turned);
-                let leaf =
-                    PageAddress::new(page.level, source.row / interior, from / interior);
+                let leaf = PageAddress::new(page.level, source.row / interior, from / interior);
                 let raw = raws.get(&leaf).expect("what a feather reaches was read");
                 valid[row * cols + col] = raw.as_ref().is_some_and(|raw| {
-                    let at = (source.row % interior) as usize * raw.cols
-                        + (from % interior) as usize;
+                    let at =
+                        (source.row % interior) as usize * raw.cols + (from % interior) as usize;
                     raw.alpha.as_ref().is_none_or(|alpha| alpha[at] != 0)
                 });
             }

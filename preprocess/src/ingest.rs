@@ -8,9 +8,7 @@ use std::time::Instant;
 
 use areoid_formats::archive::{Archive, Description, Source, SourceFile, Summary, Written};
 use areoid_formats::body::Body;
-use areoid_formats::catalog::{
-    Build, Catalog, CatalogError, Disk, NewDataset, publish_build,
-};
+use areoid_formats::catalog::{Build, Catalog, CatalogError, Disk, NewDataset, publish_build};
 use areoid_formats::codec::{Quantum, QuantumError};
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
@@ -339,7 +337,9 @@ pub fn open(
     let first = rasters.first().ok_or(MosaicError::Empty)?.info();
     let crs = first.crs.ok_or_else(|| {
         let path = first.path.display();
-        IngestError::Request(format!("{path} does not say which body it shows: give --body or --crs"))
+        IngestError::Request(format!(
+            "{path} does not say which body it shows: give --body or --crs"
+        ))
     })?;
     let body = options.body.unwrap_or_else(|| Body::from_ellipsoid(crs.body));
     Ok((rasters, crs, body))
@@ -348,8 +348,9 @@ pub fn open(
 /// The step heights are stored on.
 fn quantum(kind: Kind, info: &RasterInfo, step_m: Option<f64>) -> Result<Quantum, QuantumError> {
     match (kind, step_m.filter(|&step| step != 0.0), info.sample) {
-        (Kind::Color | Kind::Normal, ..)
-        | (_, None, SampleType::F32 | SampleType::F64) => Ok(Quantum::NONE),
+        (Kind::Color | Kind::Normal, ..) | (_, None, SampleType::F32 | SampleType::F64) => {
+            Ok(Quantum::NONE)
+        }
         (_, Some(step), _) => Quantum::new(step, 0.0),
         (_, None, _) => Quantum::new(info.scale.abs(), info.offset),
     }
@@ -404,7 +405,8 @@ pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Mosaic, IngestErro
     let mosaic = Mosaic::new(rasters, crs, description.kind, page_side)?;
     if *mosaic.grid() != description.grid {
         let dataset = &description.dataset;
-        let reason = format!("the rasters do not lie on the grid of {dataset}: was it made from them?");
+        let reason =
+            format!("the rasters do not lie on the grid of {dataset}: was it made from them?");
         return Err(IngestError::Request(reason));
     }
     Ok(mosaic)

@@ -12,7 +12,9 @@ use areoid_formats::projection::Crs;
 use areoid_formats::pyramid::Pyramid;
 
 use crate::build::Leaves;
-use crate::raster::{Block, BlockCache, Raster, RasterError, RasterInfo, colors_into, heights_into};
+use crate::raster::{
+    Block, BlockCache, Raster, RasterError, RasterInfo, colors_into, heights_into,
+};
 use crate::tile::{Raw, Tile};
 
 /// How far a raster may lie off the common grid, in pixels.
@@ -215,7 +217,11 @@ fn uses(info: &RasterInfo, place: Place, pyramid: &Pyramid) -> impl Fn(u32, u32)
     let (block_width, block_height) = (info.block_width, info.block_height);
     let leaves = move |start: u32, length: u32, used: u32, offset: u32| {
         let end = (start + length).min(used);
-        if start >= end { 0 } else { (offset + end - 1) / interior - (offset + start) / interior + 1 }
+        if start >= end {
+            0
+        } else {
+            (offset + end - 1) / interior - (offset + start) / interior + 1
+        }
     };
     move |block_col, block_row| {
         leaves(block_col * block_width, block_width, place.width, place.col)

@@ -236,9 +236,8 @@ fn matches_extension(
 /// The interior of a page inside the outline; `None` if no texel of it is valid.
 fn interior(page: &Page, (rows, cols): (u32, u32)) -> Option<Tile> {
     let (rows, cols) = (rows as usize, cols as usize);
-    let places = move || {
-        (1..=rows).flat_map(move |row| (1..=cols).map(move |col| row * page.side() + col))
-    };
+    let places =
+        move || (1..=rows).flat_map(move |row| (1..=cols).map(move |col| row * page.side() + col));
     let coverage: Vec<u8> =
         places().map(|at| page.coverage().map_or(u8::MAX, |coverage| coverage[at])).collect();
     if coverage.iter().all(|&code| code == 0) {
@@ -316,7 +315,9 @@ fn suprema(
             let y = f64::from(row) / 2.0;
             for col in 0..=2 * cols {
                 let x = f64::from(col) / 2.0;
-                if let Some(error) = difference(&leaf_page, (x + 1.0, y + 1.0), &page, placed.at(x, y)) {
+                if let Some(error) =
+                    difference(&leaf_page, (x + 1.0, y + 1.0), &page, placed.at(x, y))
+                {
                     largest = largest.max(error);
                 }
             }
@@ -394,9 +395,10 @@ fn measure(
         sum.largest = sum.largest.max(errors.largest);
         sum.squares += errors.squares;
         sum.count += errors.count;
-        let allowed = reader.entries.get(&page).map_or(0.0, |entry| {
-            f64::from(entry.bound) + f64::from(entry.source_error)
-        });
+        let allowed = reader
+            .entries
+            .get(&page)
+            .map_or(0.0, |entry| f64::from(entry.bound) + f64::from(entry.source_error));
         if allowed.is_nan() || errors.largest * (1.0 - 1e-12) > allowed {
             let (name, error) = (reader.name(page), errors.largest);
             breaches.push(format!("{name} is off the source by {error}, allowed are {allowed}"));
@@ -442,7 +444,8 @@ fn measure_leaf(
                 let pairs = raw.planes.iter().zip(here.value);
                 let error = pairs.map(|(plane, value)| (f64::from(plane[at]) - value).abs());
                 // A sample without a value that the page has one for is an infinite error.
-                let error = error.fold(0.0, |sum, e| if e.is_nan() { f64::INFINITY } else { f64::max(sum, e) });
+                let error = error
+                    .fold(0.0, |sum, e| if e.is_nan() { f64::INFINITY } else { f64::max(sum, e) });
                 errors.largest = errors.largest.max(error);
                 errors.squares += error * error;
                 errors.count += 1;

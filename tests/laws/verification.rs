@@ -109,8 +109,7 @@ fn a_bound_halved_by_hand_is_found() {
     // One page of each level that has a bound: both the root's and its children's are watched.
     for level in 0..finest.0 {
         let entries = archive.entries().unwrap();
-        let victim =
-            entries.iter().rfind(|entry| entry.page.level.0 == level).unwrap().page;
+        let victim = entries.iter().rfind(|entry| entry.page.level.0 == level).unwrap().page;
         let (damaged, written) =
             rewritten(
                 &bytes,

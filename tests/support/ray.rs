@@ -42,7 +42,11 @@ impl Camera {
         let at = point(eye);
         let forward = (point(target) - at).normalize();
         let (sin, cos) = eye[0].to_radians().sin_cos();
-        let north = DVec3::new(-eye[1].to_radians().sin() * cos, -eye[1].to_radians().sin() * sin, eye[1].to_radians().cos());
+        let north = DVec3::new(
+            -eye[1].to_radians().sin() * cos,
+            -eye[1].to_radians().sin() * sin,
+            eye[1].to_radians().cos(),
+        );
         let zenith = at.normalize();
         let straight = forward.cross(zenith).length() < 1e-6;
         let right = forward.cross(if straight { north } else { zenith }).normalize();

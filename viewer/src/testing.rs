@@ -167,7 +167,6 @@ fn window(info: &DatasetInfo, image: &LevelImage, address: PageAddress) -> Optio
     Some(Page::new(pyramid.page_side() as usize, values, coverage))
 }
 
-
 mod reference;
 
 mod twins;

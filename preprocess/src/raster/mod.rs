@@ -125,8 +125,8 @@ impl Block {
     pub(crate) fn cut(&self, cols: Range<u32>, rows: Range<u32>) -> Self {
         let pixels = self.width as usize * self.height as usize;
         let stride = self.samples.len() / pixels.max(1);
-        let columns = (cols.start - self.col) as usize * stride
-            ..(cols.end - self.col) as usize * stride;
+        let columns =
+            (cols.start - self.col) as usize * stride..(cols.end - self.col) as usize * stride;
         let lines = (rows.start - self.row) as usize..(rows.end - self.row) as usize;
         let samples = self.samples.cut(self.width as usize * stride, columns, lines);
         let (width, height) = (cols.end - cols.start, rows.end - rows.start);

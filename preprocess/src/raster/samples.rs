@@ -87,7 +87,12 @@ impl Samples {
 
     /// Columns `cols` of lines `lines`, in lines of `width` samples.
     pub(crate) fn cut(&self, width: usize, cols: Range<usize>, lines: Range<usize>) -> Self {
-        fn part<T: Copy>(all: &[T], width: usize, cols: &Range<usize>, lines: Range<usize>) -> Vec<T> {
+        fn part<T: Copy>(
+            all: &[T],
+            width: usize,
+            cols: &Range<usize>,
+            lines: Range<usize>,
+        ) -> Vec<T> {
             let lines = &all[lines.start * width..lines.end * width];
             lines.chunks_exact(width).flat_map(|line| &line[cols.clone()]).copied().collect()
         }
