@@ -274,7 +274,8 @@ mod tests {
 
     fn pyramids() -> Vec<Pyramid> {
         let none = PoleContact::None;
-        let region = |width, height| Extent { width, height, wraps: false, north: none, south: none };
+        let region =
+            |width, height| Extent { width, height, wraps: false, north: none, south: none };
         let globe = |width, height, contact| Extent {
             width,
             height,

@@ -52,7 +52,6 @@ fn footprints(count: u32) -> Vec<(u32, Aabb)> {
 }
 
 #[test]
-#[expect(clippy::print_stdout, reason = "figures for whoever asks with --nocapture")]
 fn ten_thousand_insertions_are_as_good_as_a_fresh_tree() {
     let items = footprints(10_000);
     let start = std::time::Instant::now();
