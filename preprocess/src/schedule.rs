@@ -363,4 +363,58 @@ mod tests {
             }
         }
     }
+
+    /// `FORMAT.md`, "The order of records", taken at its word.
+    #[test]
+    fn the_order_is_the_one_the_format_describes() {
+        for pyramid in pyramids() {
+            for (unit, halo) in [(8, 33), (2, 5), (1, 1)] {
+                let leaves = all_pages(&pyramid, pyramid.finest());
+                let unit_of = |page: &PageAddress| {
+                    PageKey::from(PageAddress::new(Level(0), page.row / unit, page.col / unit))
+                };
+                let mut units: Vec<PageKey> = leaves.iter().map(unit_of).collect();
+                units.sort_unstable();
+                units.dedup();
+
+                let mut schedule = Schedule::new(&pyramid, unit, halo);
+                let (mut read, mut settled, mut whole) =
+                    (HashSet::new(), HashSet::new(), HashSet::new());
+                for unit in units {
+                    let mut expected_read: Vec<PageAddress> =
+                        leaves.iter().copied().filter(|page| unit_of(page) == unit).collect();
+                    sort(&mut expected_read);
+                    read.extend(expected_read.iter().copied());
+                    let mut written = Vec::new();
+                    for level in pyramid.levels().rev() {
+                        for page in all_pages(&pyramid, level) {
+                            let ready = if level == pyramid.finest() {
+                                pyramid.sources(page, halo).iter().all(|leaf| read.contains(leaf))
+                            } else {
+                                pyramid.children(page).all(|child| settled.contains(&child))
+                            };
+                            if ready {
+                                settled.insert(page);
+                            }
+                        }
+                        let mut pages = all_pages(&pyramid, level);
+                        sort(&mut pages);
+                        for page in pages {
+                            let bordered = pyramid.sources(page, Pyramid::BORDER);
+                            if bordered.iter().all(|source| settled.contains(source))
+                                && pyramid.children(page).all(|child| whole.contains(&child))
+                                && whole.insert(page)
+                            {
+                                written.push(page);
+                            }
+                        }
+                    }
+                    let step = schedule.next().expect("a step for each unit");
+                    assert_eq!(step.read, expected_read);
+                    assert_eq!(step.whole, written, "{pyramid:?}");
+                }
+                assert_eq!(schedule.next(), None);
+            }
+        }
+    }
 }
