@@ -13,6 +13,9 @@ need() { # package, file that shows it is there, reason
 
 need mesa-vulkan-drivers '/usr/share/vulkan/icd.d/*' \
     'a Vulkan driver: the viewer draws on the processor where there is no GPU'
+need libxkbcommon-x11-0 '/usr/lib/*/libxkbcommon-x11.so.0' 'keys in the window of areoid view'
+need libxcursor1 '/usr/lib/*/libXcursor.so.1' 'the pointer in that window'
+need libxi6 '/usr/lib/*/libXi.so.6' 'buttons and wheels in that window'
 need gcc '/usr/bin/cc' 'the linker that Rust calls'
 need libc6-dev '/usr/include/stdio.h' 'what the linker links with'
 

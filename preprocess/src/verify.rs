@@ -13,7 +13,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use areoid_formats::address::{Level, PageAddress};
+use areoid_formats::address::PageAddress;
 use areoid_formats::archive::{Archive, ArchiveError, PageEntry};
 use areoid_formats::page::{Page, Texels};
 use areoid_formats::pyramid::Pyramid;
@@ -454,10 +454,4 @@ fn measure_leaf(
         found.push((address, errors));
     }
     Ok(found)
-}
-
-/// The level of a report, for people.
-#[must_use]
-pub fn level_of(index: usize) -> Level {
-    Level(u8::try_from(index).unwrap_or(u8::MAX))
 }

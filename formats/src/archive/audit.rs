@@ -5,8 +5,9 @@ use std::ops::Range;
 use super::entry::{PageEntry, Payload};
 use super::error::ArchiveError;
 use super::layout::TRAILER_LEN;
-use super::reader::{Archive, read_description};
+use super::reader::Archive;
 use super::record::{ALIGNMENT, RECORD_HEAD_LEN, parse_head, record_len};
+use super::tail::read_description;
 use crate::storage::ByteSource;
 
 /// Everything in `archive` that is not as it was written, in words.

@@ -10,6 +10,7 @@ pub mod layout;
 mod reader;
 pub mod record;
 pub mod recover;
+mod tail;
 mod writer;
 
 pub use audit::record_range;
