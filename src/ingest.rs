@@ -77,6 +77,23 @@ pub(crate) struct Args {
     #[arg(long, allow_hyphen_values = true, default_value_t = 0)]
     priority: i32,
 
+    /// How texels between pixels are found on another grid; a raster's own grid needs none.
+    #[arg(long, value_enum, value_name = "KERNEL")]
+    kernel: Option<KernelArg>,
+
+    /// Meters to a texel of another grid. Not supported yet.
+    #[arg(long, value_name = "METERS")]
+    pixel_size_m: Option<f64>,
+
+    /// Memory to use. Not enforced yet: a build keeps what waits for its neighbors in memory.
+    #[arg(long, value_name = "MIB")]
+    memory_mib: Option<u64>,
+
+    /// Go on with an unfinished build. Not supported yet: the build starts afresh, and makes the
+    /// same bytes.
+    #[arg(long)]
+    resume: bool,
+
     /// Threads [default: one a core].
     #[arg(long, value_name = "COUNT")]
     threads: Option<usize>,
@@ -107,6 +124,16 @@ enum GridArg {
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum KernelArg {
+    Nearest,
+    Bilinear,
+    Cubic,
+    Lanczos,
+    Spline,
+    Average,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum LatitudesArg {
     Planetographic,
     Planetocentric,
@@ -114,8 +141,19 @@ enum LatitudesArg {
 
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
-        if self.grid != GridArg::Native {
-            return Err(Failure::Misused("only --grid native is supported yet".to_owned()));
+        if self.grid != GridArg::Native || self.pixel_size_m.is_some() {
+            let reason = "only the raster's own grid is supported yet: leave --grid and \
+                          --pixel-size-m away";
+            return Err(Failure::Misused(reason.to_owned()));
+        }
+        if self.kernel.is_some() {
+            output::say("warning: --kernel has no effect on the raster's own grid");
+        }
+        if self.memory_mib.is_some() {
+            output::say("warning: --memory-mib is not enforced yet");
+        }
+        if self.resume {
+            output::say("warning: --resume starts afresh yet");
         }
         if self.step_m.is_some_and(|step| !(step >= 0.0 && step.is_finite())) {
             return Err(Failure::Misused("--step-m must be 0 or a positive number".to_owned()));
