@@ -10,7 +10,7 @@
 //!
 //! # References
 //!
-//! * DESIGN §5: the error on the screen, and culling, cheapest first.
+//! * `ARCHITECTURE.md`: the error on the screen, and what is out of sight, cheapest first.
 //! * White 2011, chapter 4: the search over a BVH of datasets with a quadtree each.
 
 use std::cmp::Ordering;

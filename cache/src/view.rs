@@ -63,7 +63,7 @@ impl Lens {
     }
 
     /// How large a length can be on the screen, `distance` or more away and at an angle from the
-    /// axis of this cosine or more: DESIGN §5.
+    /// axis of this cosine or more: `ARCHITECTURE.md`, the error on the screen.
     pub(crate) fn pixels(&self, length_m: f64, distance_m: f64, cosine: f64) -> f64 {
         if length_m > 0.0 {
             length_m * self.pixels_per_tangent / (distance_m * cosine * cosine)

@@ -33,7 +33,7 @@
 //!
 //! # References
 //!
-//! DESIGN.md law 1. Nested errors after P-BDAM (Cignoni et al. 2003), §4; the intervals, which
+//! `ARCHITECTURE.md`, law 1. Nested errors after P-BDAM (Cignoni et al. 2003), §4; the intervals, which
 //! let errors of opposite sign cancel, are ours.
 
 /// The least and greatest finest texels under each texel of a window; `least > greatest` where

@@ -71,7 +71,7 @@ impl Horizon {
     }
 
     /// Whether the sphere hides everything that reaches no farther than `along` toward the eye, and
-    /// `greatest_radius` from the body's center: DESIGN §5.
+    /// `greatest_radius` from the body's center: `ARCHITECTURE.md`.
     ///
     /// A point at the angle γ from n is hidden from γ₁ + γ₂ on, with cos γ₁ = r/d and cos γ₂ = r/ρ;
     /// the formula is the cosine of that sum, times ρ.

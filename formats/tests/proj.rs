@@ -1,7 +1,7 @@
 //! PROJ as the oracle of bodies, positions and projections.
 //!
 //! `data/proj.csv` holds what PROJ 9.5.1 computes, `data/make_proj.py` made it. Every row must agree
-//! to 10⁻⁹ of the body's radius, there and back: DESIGN.md, section 3.
+//! to 10⁻⁹ of the body's radius, there and back.
 
 use areoid_formats::body::{Body, Ellipsoid};
 use areoid_formats::geodesy::{Geographic, LatitudeKind, surface_normal};
@@ -9,7 +9,7 @@ use areoid_formats::projection::{Crs, MapPoint, Projection};
 use areoid_formats::units::{Degrees, Meters, Radians};
 use glam::DVec3;
 
-/// The agreement that DESIGN.md promises, relative to the radius.
+/// The agreement that the projections promise, relative to the radius.
 const TOLERANCE: f64 = 1e-9;
 
 /// A row of the table.

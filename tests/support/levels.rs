@@ -1,5 +1,5 @@
 //! The oracle: what every level holds, worked out anew and without haste from the words of
-//! DESIGN.md §1 and §4.
+//! `formats/FORMAT.md`.
 //!
 //! Levels are counted in *halvings*: 0 is the finest. A level of k halvings has texels of 2^k
 //! finest texels. Whatever is asked outside a level is its extension.

@@ -68,7 +68,7 @@ pub struct PageEntry {
     /// At least what the finest reconstruction takes anywhere over the page.
     pub highest: f32,
     /// No point of the page where all taps are valid is farther than this from the finest level
-    /// before quantization (DESIGN, law 1). At least that of every page below.
+    /// before quantization (law 1). At least that of every page below.
     pub bound: f32,
     /// The largest |`R_L` − source| at the source's pixel centers under the page.
     pub source_error: f32,

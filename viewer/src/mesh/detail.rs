@@ -5,7 +5,7 @@
 //!
 //! # References
 //!
-//! * DESIGN §5: the horizon test, for an inscribed sphere below the lowest terrain.
+//! * `ARCHITECTURE.md`: the horizon test, for an inscribed sphere below the lowest terrain.
 //! * Virtual Globes §12.1: error in pixels by distance; frustum planes.
 
 use std::collections::HashMap;
@@ -194,7 +194,7 @@ impl Criterion {
         if must || may() { Verdict::Split } else { Verdict::Draw }
     }
 
-    /// DESIGN §5: n·p below the limit for all points of the volume.
+    /// `ARCHITECTURE.md`: n·p below the limit for all points of the volume.
     fn beyond_horizon(&self, center: DVec3, reach: f64) -> bool {
         let Some(limit) = self.horizon_m else { return false };
         let outer = self.ellipsoid.a().0 + self.range_m.1;

@@ -306,7 +306,7 @@ fn there_are_no_cracks() {
     }
 }
 
-/// DESIGN §7: under 0.05 px of jitter from 1 m to 10⁷ m: no pixel's place is farther off its ray,
+/// What `ARCHITECTURE.md` aims at: under 0.05 px of jitter from 1 m to 10⁷ m: no pixel's place is farther off its ray,
 /// wherever the eye happens to stand.
 #[test]
 fn nothing_jitters_from_a_meter_to_ten_million() {

@@ -117,7 +117,7 @@ fn grids() -> Vec<(&'static str, Grid, Ellipsoid)> {
     ]
 }
 
-/// DESIGN §7: a sixteenth of a texel on a 0.25 m raster anywhere on Earth, for offsets of the
+/// What `ARCHITECTURE.md` aims at: a sixteenth of a texel on a 0.25 m raster anywhere on Earth, for offsets of the
 /// patches that show single texels; the same share of a patch for larger ones.
 #[test]
 fn places_are_found_to_a_sixteenth_of_a_texel() {
