@@ -36,6 +36,6 @@ pub mod storage;
 
 pub mod archive;
 
-pub mod catalog;
-
 pub mod query;
+
+pub mod catalog;

@@ -7,6 +7,7 @@
 //!   {"generation":7,"body":{…},"datasets":[{"name":"mola","file":"mola-5f0c….areoid",…},…]}
 //! ```
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io;
 use std::path::Path;
@@ -18,6 +19,8 @@ use super::error::CatalogError;
 use super::publish::check_name;
 use crate::archive::Source;
 use crate::body::Body;
+use crate::bounds::Aabb;
+use crate::bvh::Bvh;
 use crate::page::Kind;
 
 /// The datasets of one generation.
@@ -29,6 +32,8 @@ pub struct Manifest {
     pub body: Body,
     /// The datasets, sorted by name; no name twice.
     pub datasets: Vec<DatasetRecord>,
+    /// A box around each dataset, by its [`item`](DatasetRecord::item).
+    pub bvh: Bvh,
 }
 
 /// A dataset as the manifest knows it.
@@ -36,6 +41,8 @@ pub struct Manifest {
 pub struct DatasetRecord {
     /// Its name.
     pub name: String,
+    /// Its number in the tree of boxes: that of no other dataset, and its own for good.
+    pub item: u32,
     /// Its archive, a file in the catalog's `archives` folder: [`DatasetRecord::file_of`] its name
     /// and content.
     pub file: String,
@@ -76,7 +83,29 @@ impl Manifest {
     /// A catalog before its first dataset.
     #[must_use]
     pub fn empty(body: Body) -> Self {
-        Self { generation: 0, body, datasets: Vec::new() }
+        Self { generation: 0, body, datasets: Vec::new(), bvh: Bvh::default() }
+    }
+
+    /// Takes a dataset out, if there is one of this name.
+    pub(super) fn take_out(&mut self, name: &str) -> Option<DatasetRecord> {
+        let place = self.datasets.iter().position(|record| record.name == name)?;
+        let record = self.datasets.remove(place);
+        self.bvh.remove(record.item);
+        Some(record)
+    }
+
+    /// Puts a dataset in, in the place of one of its name, with a box around it.
+    pub(super) fn put_in(&mut self, record: DatasetRecord, bounds: Aabb) {
+        self.take_out(&record.name);
+        self.bvh.insert(record.item, bounds);
+        self.datasets.push(record);
+        self.datasets.sort_by(|one, other| one.name.cmp(&other.name));
+    }
+
+    /// The least number that no dataset has.
+    pub(super) fn free_item(&self) -> u32 {
+        let taken: BTreeSet<u32> = self.datasets.iter().map(|record| record.item).collect();
+        (0..).find(|item| !taken.contains(item)).expect("fewer than 2^32 datasets")
     }
 
     pub(super) fn to_bytes(&self) -> Vec<u8> {
@@ -112,6 +141,11 @@ impl Manifest {
         }
         if !manifest.datasets.is_sorted_by(|one, other| one.name < other.name) {
             return Err(invalid("its datasets are not in the order of their names"));
+        }
+        let items: BTreeSet<u32> = manifest.datasets.iter().map(|record| record.item).collect();
+        let in_tree = items.iter().all(|&item| manifest.bvh.get(item).is_some());
+        if items.len() != manifest.datasets.len() || manifest.bvh.len() != items.len() || !in_tree {
+            return Err(invalid("its boxes are not those of its datasets"));
         }
         Ok(manifest)
     }

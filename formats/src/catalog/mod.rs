@@ -22,6 +22,7 @@ pub use publish::{Build, NewDataset, publish_build, remove_dataset};
 
 use crate::archive::Archive;
 use crate::body::Body;
+use crate::bvh::Bvh;
 use crate::storage::FileSource;
 
 /// One generation of a catalog, as it was when it was opened.
@@ -78,6 +79,13 @@ impl Catalog {
     #[must_use]
     pub fn datasets(&self) -> &[DatasetRecord] {
         &self.manifest.datasets
+    }
+
+    /// A box around each dataset, by its [`item`](DatasetRecord::item): what a view meets is found
+    /// without opening an archive.
+    #[must_use]
+    pub fn bvh(&self) -> &Bvh {
+        &self.manifest.bvh
     }
 
     /// The dataset called `name`.

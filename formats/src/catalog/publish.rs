@@ -4,12 +4,19 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
+
 use super::disk::Disk;
 use super::error::CatalogError;
 use super::manifest::{self, DatasetRecord, Manifest};
-use crate::archive::Source;
+use crate::address::{Level, PageAddress};
+use crate::archive::{Archive, Description, Source};
 use crate::body::Body;
+use crate::bounds::Aabb;
 use crate::page::Kind;
+use crate::storage::FileSource;
+use crate::units::Meters;
+use crate::volume::Volume;
 
 pub(super) const ARCHIVES: &str = "archives";
 const BUILDS: &str = "build";
@@ -139,17 +146,20 @@ pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, Catal
                 .map_err(|source| CatalogError::io("sync", &archives, source))?;
             in_place = true;
         }
-        manifest.datasets.retain(|record| record.name != dataset.name);
-        manifest.datasets.push(DatasetRecord {
+        let bounds = bounds_of(&target, &manifest.body)?;
+        let before = manifest.datasets.iter().find(|record| record.name == dataset.name);
+        let item = before.map_or_else(|| manifest.free_item(), |record| record.item);
+        let record = DatasetRecord {
             name: dataset.name.clone(),
+            item,
             file: name.clone(),
             kind: dataset.kind,
             priority: dataset.priority,
             bytes: dataset.bytes,
             content: content.clone(),
             source: dataset.source.clone(),
-        });
-        manifest.datasets.sort_by(|one, other| one.name.cmp(&other.name));
+        };
+        manifest.put_in(record, bounds);
         Ok(manifest)
     })
 }
@@ -165,9 +175,7 @@ pub fn remove_dataset(disk: &dyn Disk, folder: &Path, name: &str) -> Result<u64,
     change(disk, folder, |newest| {
         let mut manifest =
             newest.ok_or_else(|| CatalogError::NotACatalog { folder: folder.to_owned() })?;
-        let before = manifest.datasets.len();
-        manifest.datasets.retain(|record| record.name != name);
-        if manifest.datasets.len() == before {
+        if manifest.take_out(name).is_none() {
             let folder = folder.to_owned();
             return Err(CatalogError::NoSuchDataset { name: name.to_owned(), folder });
         }
@@ -185,6 +193,36 @@ fn create_folders(disk: &dyn Disk, path: &Path) -> Result<(), CatalogError> {
         disk.sync_folder(parent).map_err(|source| CatalogError::io("sync", parent, source))?;
     }
     Ok(())
+}
+
+/// A box around the dataset whose archive is at `path`.
+///
+/// Colors lie on terrain that the dataset does not know: a hundredth of the body's radius up and
+/// down holds that of any planet. So it is around the whole body where the archive has no root.
+fn bounds_of(path: &Path, body: &Body) -> Result<Aabb, CatalogError> {
+    let opened = File::open(path).and_then(FileSource::new);
+    let source = opened.map_err(|source| CatalogError::io("open", path, source))?;
+    let failed = |source| CatalogError::Archive { path: path.to_owned(), source };
+    let archive = Archive::open(Box::new(source)).map_err(failed)?;
+    let Description { grid, kind, .. } = archive.description();
+    let margin = Meters(body.ellipsoid.a().0 / 100.0);
+
+    let mut whole = Aabb::EMPTY;
+    let (rows, cols) = grid.pyramid().pages(Level(0)).unwrap_or_default();
+    for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
+        let page = PageAddress::new(Level(0), row, col);
+        let Some(root) = archive.find(page).map_err(failed)? else { continue };
+        let (lowest, highest) = match kind {
+            Kind::Height => (Meters(root.lowest.into()), Meters(root.highest.into())),
+            Kind::Color | Kind::Normal => (Meters(-margin.0), margin),
+        };
+        whole = whole.union(&Volume::new(grid, page, lowest, highest).aabb());
+    }
+    if whole.is_empty() {
+        let corner = DVec3::splat(body.ellipsoid.a().0 + margin.0);
+        whole = Aabb::new(-corner, corner);
+    }
+    Ok(whole)
 }
 
 /// Publishes the generation that `step` makes of the newest one.
