@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use areoid_formats::address::Level;
 use areoid_formats::archive::Archive;
-use areoid_formats::catalog::Catalog;
+use areoid_formats::catalog::{Catalog, CatalogError};
 use areoid_formats::query::{HeightAnswer, HeightQuery};
 use serde_json::{Value, json};
 
@@ -57,9 +57,12 @@ impl Args {
             (None, None) => Vec::new(),
         };
         let positions: Result<Vec<_>, _> = points.iter().map(|&point| position(point)).collect();
-        let positions = positions.map_err(Failure::Misused)?;
+        let positions = positions.map_err(|reason| match &self.points {
+            Some(path) => Failure::Failed(format!("{}: {reason}", path.display()).into()),
+            None => Failure::Misused(reason),
+        })?;
 
-        let (catalog, archives) = Catalog::open_with_archives(&self.catalog)?;
+        let (catalog, archives) = Catalog::open_each(&self.catalog)?;
         if let Some(name) = &self.dataset {
             catalog.dataset(name)?;
         }
@@ -69,7 +72,7 @@ impl Args {
             .zip(archives)
             .filter(|(record, _)| self.dataset.as_ref().is_none_or(|name| *name == record.name))
             .map(|(_, archive)| archive)
-            .collect();
+            .collect::<Result<_, CatalogError>>()?;
         let mut query = HeightQuery::new(&chosen, self.level.map(Level));
         let mut answers = Vec::with_capacity(points.len());
         for position in positions {
@@ -118,7 +121,7 @@ fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, Failure> {
         std::io::Error::new(error.kind(), format!("cannot read {name}: {error}"))
     })?;
     let invalid = |reason: String| Failure::Failed(format!("{name}: {reason}").into());
-    let mut lines = text.lines();
+    let mut lines = text.trim_start_matches('\u{feff}').lines();
     let header: Vec<&str> = lines.next().unwrap_or_default().split(',').map(str::trim).collect();
     if !header.starts_with(&["lon", "lat"]) {
         return Err(invalid(format!("expected the header lon,lat, found {:?}", header.join(","))));

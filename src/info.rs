@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use areoid_formats::archive::Archive;
-use areoid_formats::catalog::{Catalog, DatasetRecord};
+use areoid_formats::catalog::{Catalog, CatalogError, DatasetRecord};
 use areoid_formats::pyramid::PoleContact;
 use serde_json::{Value, json};
 
@@ -28,7 +28,7 @@ pub(crate) struct Args {
 
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
-        let (catalog, archives) = Catalog::open_with_archives(&self.catalog)?;
+        let (catalog, archives) = Catalog::open_each(&self.catalog)?;
         if let Some(name) = &self.dataset {
             catalog.dataset(name)?;
         }
@@ -37,8 +37,12 @@ impl Args {
             .iter()
             .zip(&archives)
             .filter(|(record, _)| self.dataset.as_ref().is_none_or(|name| *name == record.name))
-            .map(|(record, archive)| dataset(record, archive))
+            .map(|(record, archive)| match archive {
+                Ok(archive) => dataset(record, archive),
+                Err(error) => Ok(unreadable(record, error)),
+            })
             .collect::<Result<_, Failure>>()?;
+        let whole = chosen.iter().all(|dataset| dataset.get("error").is_none());
         if self.json {
             let body = catalog.body();
             output::json(&json!({
@@ -53,8 +57,19 @@ impl Args {
         } else {
             text(&catalog, &chosen)?;
         }
-        Ok(ExitCode::SUCCESS)
+        Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
+}
+
+/// What the manifest alone says of a dataset.
+fn unreadable(record: &DatasetRecord, error: &CatalogError) -> Value {
+    json!({
+        "name": record.name,
+        "kind": record.kind.name(),
+        "priority": record.priority,
+        "bytes": record.bytes,
+        "error": error.to_string(),
+    })
 }
 
 fn dataset(record: &DatasetRecord, archive: &Archive) -> Result<Value, Failure> {
@@ -123,6 +138,11 @@ fn text(catalog: &Catalog, datasets: &[Value]) -> Result<(), Failure> {
         catalog.generation()
     ))?;
     for dataset in datasets {
+        if let Some(error) = dataset.get("error") {
+            let name = dataset["name"].as_str().unwrap_or_default();
+            output::line(format_args!("\n{name}: {}", error.as_str().unwrap_or_default()))?;
+            continue;
+        }
         let grid = &dataset["grid"];
         output::line(format_args!(
             "\n{}: {}, {} x {}, {} pages, {} bytes\n  {}",

@@ -95,8 +95,8 @@ pub(crate) struct Args {
     resume: bool,
 
     /// Threads [default: one a core].
-    #[arg(long, value_name = "COUNT")]
-    threads: Option<usize>,
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
 
     /// Replace a dataset of this name that was made from something else.
     #[arg(long)]
@@ -146,6 +146,9 @@ impl Args {
                           --pixel-size-m away";
             return Err(Failure::Misused(reason.to_owned()));
         }
+        if matches!(self.kind, Some(KindArg::Normal)) {
+            return Err(Failure::Misused("--kind normal is not supported yet".to_owned()));
+        }
         if self.kernel.is_some() {
             output::say("warning: --kernel has no effect on the raster's own grid");
         }
@@ -187,7 +190,7 @@ impl Args {
             step_m: self.step_m,
             page_side: self.page_size,
             priority: self.priority,
-            threads: self.threads,
+            threads: self.threads.map(usize::from),
             existing: if self.force { Existing::Replace } else { Existing::Keep },
             reading: Reading {
                 crs: self.crs,

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use areoid_formats::address::{Level, PageAddress};
 use areoid_formats::archive::{Archive, PageEntry, Payload};
-use areoid_formats::catalog::Catalog;
+use areoid_formats::catalog::{Catalog, CatalogError};
 use areoid_formats::page::{Kind, Page, Texels};
 use image::{DynamicImage, ImageBuffer, ImageFormat};
 use serde_json::{Value, json};
@@ -46,10 +46,7 @@ pub(crate) struct Args {
 
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
-        let (catalog, archives) = Catalog::open_with_archives(&self.catalog)?;
-        catalog.dataset(&self.dataset)?;
-        let place = catalog.datasets().iter().position(|record| record.name == self.dataset);
-        let archive = &archives[place.expect("the dataset was found above")];
+        let archive = open(&self.catalog, &self.dataset)?;
         let page = PageAddress::new(Level(self.level), self.row, self.col);
         let pyramid = archive.description().grid.pyramid();
         if !pyramid.contains(page) {
@@ -70,7 +67,7 @@ impl Args {
         if let Some(path) = &self.output {
             let texels = match &entry {
                 Some(entry) => archive.page(entry)?,
-                None => blank(archive),
+                None => blank(&archive),
             };
             output::write_file(path, &encode(path, &texels)?)?;
         }
@@ -89,6 +86,19 @@ impl Args {
             ))?;
         }
         Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// The archive of one dataset, of a newer generation if this one is gone.
+fn open(folder: &Path, dataset: &str) -> Result<Archive, CatalogError> {
+    let catalog = Catalog::open(folder)?;
+    match catalog.archive(catalog.dataset(dataset)?) {
+        Err(CatalogError::Missing { .. })
+            if Catalog::open(folder)?.generation() > catalog.generation() =>
+        {
+            open(folder, dataset)
+        }
+        opened => opened,
     }
 }
 

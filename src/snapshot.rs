@@ -85,6 +85,9 @@ enum Aov {
     Depth,
 }
 
+/// Pixels of the largest picture: its deferred buffer takes 40 bytes a pixel.
+const MOST_PIXELS: u32 = 8192 * 2048;
+
 /// Light from everywhere, so that the night side is not black.
 const AMBIENT: f64 = 0.06;
 
@@ -96,7 +99,7 @@ impl Args {
             concurrent_loads: 4,
         };
         let cache = Cache::open(&self.catalog, options).wait()?;
-        if let Some(problem) = cache.problems().first() {
+        for problem in cache.problems() {
             output::say(format_args!("warning: {problem}"));
         }
         let view = self.view(cache.body())?;
@@ -132,7 +135,19 @@ impl Args {
             report["adapter"] = json!(gpu.description());
             output::json(&report)?;
         }
-        let whole = selection.failed.is_empty();
+        let unmet = selection.tolerance_px > self.tolerance_px || selection.missing > 0;
+        if unmet {
+            output::say(format_args!(
+                "warning: --memory-mib is too little for this view: {} pages are missing, and the \
+                 tolerance met is {} pixels",
+                selection.missing, selection.tolerance_px
+            ));
+        }
+        let bare = selection.pages.is_empty() && !selection.datasets.is_empty() && unmet;
+        let whole = selection.failed.is_empty()
+            && cache.problems().is_empty()
+            && selection.missing == 0
+            && !bare;
         Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
 
@@ -201,12 +216,15 @@ fn encode(aov: Aov, aovs: &Aovs) -> Vec<u8> {
 }
 
 fn size(text: &str) -> Result<[u32; 2], String> {
-    let invalid = || format!("{text:?}: expected WIDTHxHEIGHT, each 1 to 16384");
+    let invalid = || {
+        format!("{text:?}: expected WIDTHxHEIGHT, each 1 to 8192, and at most {MOST_PIXELS} pixels")
+    };
     let (width, height) = text.split_once('x').ok_or_else(invalid)?;
     let side = |text: &str| {
-        text.parse().ok().filter(|side| (1..=16384).contains(side)).ok_or_else(invalid)
+        text.parse::<u32>().ok().filter(|side| (1..=8192).contains(side)).ok_or_else(invalid)
     };
-    Ok([side(width)?, side(height)?])
+    let size = [side(width)?, side(height)?];
+    if size[0] * size[1] > MOST_PIXELS { Err(invalid()) } else { Ok(size) }
 }
 
 fn target(text: &str) -> Result<[f64; 3], String> {

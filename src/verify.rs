@@ -1,5 +1,6 @@
 //! `areoid verify`.
 
+use std::error::Error;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -38,7 +39,7 @@ pub(crate) struct Args {
 
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
-        let (catalog, archives) = Catalog::open_with_archives(&self.catalog)?;
+        let (catalog, archives) = Catalog::open_each(&self.catalog)?;
         if let Some(name) = &self.dataset {
             catalog.dataset(name)?;
         }
@@ -48,6 +49,13 @@ impl Args {
             if self.dataset.as_ref().is_some_and(|name| *name != record.name) {
                 continue;
             }
+            let archive = match archive {
+                Ok(archive) => archive,
+                Err(error) => {
+                    problems.push(format!("{}: {}", record.name, with_causes(error)));
+                    continue;
+                }
+            };
             let report = if self.against.is_empty() {
                 verify(archive, None)?
             } else {
@@ -80,6 +88,12 @@ impl Args {
         }
         Ok(if ok { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
+}
+
+/// An error and its causes on one line.
+fn with_causes(error: &dyn Error) -> String {
+    let causes = std::iter::successors(Some(error), |&error| error.source());
+    causes.map(ToString::to_string).collect::<Vec<_>>().join(": ")
 }
 
 fn level_rows(archive: &Archive, report: &Report, measured: bool) -> Vec<Value> {

@@ -103,10 +103,21 @@ fn list(numbers: &[f64]) -> String {
 }
 
 fn snapshot(scene: &Scene, size: &str, picture: &Path, aovs: &[(&str, &Path)]) {
+    snapshot_with(scene, size, picture, aovs, &[]);
+}
+
+fn snapshot_with(
+    scene: &Scene,
+    size: &str,
+    picture: &Path,
+    aovs: &[(&str, &Path)],
+    options: &[String],
+) {
     let mut command = areoid();
     command.arg("snapshot").arg(&CATALOG.1).arg("-o").arg(picture).args(["--size", size]);
     command.arg("--eye").arg(list(&scene.eye)).arg("--target").arg(list(&scene.target));
     command.arg("--sun").arg(list(&scene.sun)).arg("--fov-deg").arg(scene.fov_deg.to_string());
+    command.args(options);
     for (name, path) in aovs {
         command.arg("--aov").arg(format!("{name}={}", path.display()));
     }
@@ -166,6 +177,42 @@ fn positions_and_heights_are_those_of_the_composed_surface() {
         assert!(on_planet > 5_000, "{}: {on_planet} rays meet the planet", scene.name);
         assert!(differ * 1000 <= on_planet, "{}: {differ} of {on_planet} differ", scene.name);
         assert!(off * 1000 <= on_planet, "{}: {off} drawn beside the planet", scene.name);
+    }
+}
+
+/// From so far that the coarsest page would do, and with a tolerance so fine that the finest is
+/// needed: heights and colors are there all over the disc.
+#[test]
+fn a_planet_keeps_its_face_from_afar() {
+    let folder = TempDir::new().unwrap();
+    let [level, picture] = ["l.npy", "s.png"].map(|name| folder.path().join(name));
+    for (altitude, size, tolerance) in
+        [(7.4e6, 256, 1.0), (1e7, 400, 1.0), (3e7, 200, 1.0), (2e7, 300, 0.02), (4e7, 64, 0.1)]
+    {
+        let eye = [-90.0, 5.0, altitude];
+        let sun = [-90.0, 5.0];
+        let scene = Scene { name: "far", eye, target: [-90.0, 5.0, 0.0], sun, fov_deg: 30.0 };
+        let tolerance = ["--tolerance-px", &f64::to_string(&tolerance)].map(str::to_owned);
+        let size = format!("{size}x{size}");
+        snapshot_with(&scene, &size, &picture, &[("level", &level)], &tolerance);
+        let levels = Array::read(&level).values;
+        let drawn = image::open(&picture).unwrap().to_rgb8();
+        let (mut on, mut flat, mut pale) = (0, 0, 0);
+        for (pixel, level) in drawn.pixels().zip(levels) {
+            let [red, green, blue] = pixel.0.map(f64::from);
+            // The night and the limb are too dark to tell.
+            if red + green + blue < 120.0 {
+                continue;
+            }
+            on += 1;
+            flat += usize::from(level.is_nan());
+            // The hue of ground without a color, however lit.
+            pale +=
+                usize::from((red / blue - 1.24).abs() < 0.05 && (green / blue - 1.1).abs() < 0.04);
+        }
+        assert!(on > 200, "{altitude}: {on} pixels are lit");
+        assert_eq!(flat, 0, "{altitude}: pixels without a height of {on}");
+        assert!(pale * 20 <= on, "{altitude}: {pale} of {on} pixels have no color");
     }
 }
 

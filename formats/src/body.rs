@@ -136,7 +136,7 @@ impl From<Ellipsoid> for Radii {
     }
 }
 
-/// `A` for a sphere and `A,B` otherwise, in metres: what [`Body::parse`] reads.
+/// `A` for a sphere and `A,B` otherwise, in meters: what [`Body::parse`] reads.
 impl fmt::Display for Ellipsoid {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.is_sphere() {
@@ -161,7 +161,7 @@ pub struct Body {
 #[non_exhaustive]
 pub enum BodyError {
     /// Neither a known name nor one or two numbers.
-    #[error("no body: expected one of {}, or radii in metres as A or A,B, found {found:?}", Body::NAMES.join(", "))]
+    #[error("no body: expected one of {}, or radii in meters as A or A,B, found {found:?}", Body::NAMES.join(", "))]
     Unknown {
         /// The text found.
         found: String,
@@ -193,7 +193,7 @@ impl Body {
     /// Radii this close, relatively, are one body's.
     pub const SAME_WITHIN: f64 = 1e-3;
 
-    /// The body that `text` names: `mars`, or radii in metres, `3396190` or `3396190,3376200`.
+    /// The body that `text` names: `mars`, or radii in meters, `3396190` or `3396190,3376200`.
     ///
     /// # Errors
     ///

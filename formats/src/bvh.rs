@@ -258,7 +258,8 @@ impl Bvh {
                     }
                 }
             }
-            Some(Content::Leaf(_)) => unreachable!("a parent has children"),
+            // A parent has children: a leaf is none.
+            Some(Content::Leaf(_)) => {}
             None => self.root = Some(new),
         }
     }

@@ -88,7 +88,9 @@ impl<'a> HeightQuery<'a> {
             weight: 1.0,
             value: found.value,
             bound: f64::from(entry.bound),
-            coverage_bound: if entry.full || level == finest { 0.0 } else { 1.0 },
+            // Fully covered taps have fully covered leaves below them, and those are the taps of
+            // the finest level here.
+            coverage_bound: if level == finest || found.coverage >= 1.0 { 0.0 } else { 1.0 },
         }))
     }
 

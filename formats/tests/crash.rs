@@ -396,7 +396,7 @@ fn a_refused_change_leaves_everything() {
     let other = publish_build(build, dataset);
     assert!(matches!(other, Err(CatalogError::OtherBody { .. })));
     assert_eq!((shown(&folder), names_in(&folder)), before);
-    assert_eq!(names_in(&folder.join("build")), ["moon.part"]);
+    assert!(names_in(&folder.join("build")).is_empty());
 }
 
 /// Files with names like a manifest's: somebody's copies, links to nowhere, the last generation.

@@ -251,7 +251,7 @@ fn the_pole_is_the_origin_of_a_polar_map_and_comes_back_exactly() {
 
 /// Next to the pole the colatitude itself must survive: a map meter is a ground meter there.
 #[test]
-fn millimetres_from_the_pole_are_still_on_the_map() {
+fn millimeters_from_the_pole_are_still_on_the_map() {
     for ratio in [1.0, 0.994] {
         let crs = polar(Pole::North, ratio);
         for meters in [1e-3, 1.0, 1e3] {

@@ -232,7 +232,12 @@ fn existing(
     policy: Existing,
 ) -> Result<Option<(Summary, u64)>, IngestError> {
     let Ok(record) = catalog.dataset(&description.dataset) else { return Ok(None) };
-    let archive = catalog.archive(record)?;
+    let archive = match (catalog.archive(record), policy) {
+        (Ok(archive), _) => archive,
+        // What cannot be read can be replaced.
+        (Err(_), Existing::Replace) => return Ok(None),
+        (Err(error), Existing::Keep) => return Err(error.into()),
+    };
     if archive.description() == description
         && let Some(summary) = archive.summary()
     {
@@ -251,6 +256,10 @@ fn plan(
 ) -> Result<(Description, Mosaic), IngestError> {
     let catalog_body = catalog.filter(|c| !c.datasets().is_empty()).map(Catalog::body);
     let (rasters, crs, body) = open(&request.rasters, &request.reading, catalog_body)?;
+    if let Some(catalog) = catalog_body.filter(|catalog| !catalog.same_as(&body)) {
+        let (catalog, raster) = (catalog.name.clone(), body.name);
+        return Err(CatalogError::OtherBody { catalog, raster }.into());
+    }
     let first = rasters.first().ok_or(MosaicError::Empty)?.info().clone();
     let kind = match (request.kind, first.bands) {
         (Some(Kind::Normal), _) => {

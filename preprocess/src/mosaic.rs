@@ -28,7 +28,7 @@ pub enum MosaicError {
     #[error("no raster to read")]
     Empty,
     /// The outline makes no grid.
-    #[error("{}: {source}", path.display())]
+    #[error("{} makes no grid", path.display())]
     Grid {
         /// The raster, or the first of several.
         path: std::path::PathBuf,

@@ -117,7 +117,7 @@ impl Schedule {
         for &page in &step.settled {
             self.expect_viewers(page);
             for source in self.pyramid.sources(page, self.halo) {
-                if count_down(&mut self.readers, source, || unreachable!("it was read")) {
+                if count_down_known(&mut self.readers, source) {
                     step.forget_read.push(source);
                 }
             }
@@ -142,7 +142,7 @@ impl Schedule {
             for &parent in &parents {
                 self.expect_viewers(parent);
                 for child in self.pyramid.children(parent) {
-                    if count_down(&mut self.viewers, child, || unreachable!("it is settled")) {
+                    if count_down_known(&mut self.viewers, child) {
                         step.forget_settled.push(child);
                     }
                 }
@@ -179,7 +179,7 @@ impl Schedule {
             sort(&mut pages);
             for &page in &pages {
                 for source in self.pyramid.sources(page, Pyramid::BORDER) {
-                    if count_down(&mut self.viewers, source, || unreachable!("it is settled")) {
+                    if count_down_known(&mut self.viewers, source) {
                         step.forget_settled.push(source);
                     }
                 }
@@ -219,7 +219,13 @@ fn count_down(
     page: PageAddress,
     start: impl FnOnce() -> usize,
 ) -> bool {
-    let count = counts.entry(page).or_insert_with(start);
+    counts.entry(page).or_insert_with(start);
+    count_down_known(counts, page)
+}
+
+/// [`count_down`] for a page that was counted before.
+fn count_down_known(counts: &mut HashMap<PageAddress, usize>, page: PageAddress) -> bool {
+    let count = counts.get_mut(&page).expect("nothing is used before it is there");
     *count -= 1;
     let done = *count == 0;
     if done {

@@ -49,6 +49,11 @@ pub fn finish(
         Some(parent_cells(&window, size, children))
     };
     let own_bound = cells.iter().flatten().map(Cells::bound).fold(0.0, f32::max);
+    // Two reconstructions of codes are no farther apart than the codes themselves.
+    let own_bound = match description.kind {
+        Kind::Height => own_bound,
+        Kind::Color | Kind::Normal => own_bound.min(255.0),
+    };
     let figures = Figures::of(&window, size, children);
     let (stored, payload) = encode(description, &window)?;
     let entry = PageEntry {

@@ -134,7 +134,8 @@ impl Surface {
         }
     }
 
-    /// The finest page in memory at most as fine as `level`, read at a place of the finest level.
+    /// The finest page in memory at most as fine as `level`, or else the coarsest that is finer, read
+    /// at a place of the finest level.
     fn sample(
         &self,
         dataset: usize,
@@ -142,7 +143,8 @@ impl Surface {
         level: Level,
     ) -> Option<(Reconstruction, &ResidentPage)> {
         let grid = &self.datasets[dataset].grid;
-        (0..=level.0).rev().map(Level).find_map(|level| {
+        let finer = level.0 + 1..=grid.pyramid().finest().0;
+        (0..=level.0).rev().chain(finer).map(Level).find_map(|level| {
             let halvings = grid.pyramid().halvings(level);
             let scale = 0.5_f64.powi(i32::try_from(halvings).unwrap_or(i32::MAX));
             let point = TexelPoint { x: place.x * scale, y: place.y * scale };

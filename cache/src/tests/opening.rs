@@ -30,7 +30,7 @@ fn a_catalog_opens_with_what_can_be_read() {
             priority: 3,
             body: mars(),
             bytes: bytes.len() as u64,
-            content: 7,
+            content: Archive::open(Box::new(bytes)).unwrap().content().unwrap(),
             source: description.source,
         };
         publish_build(build, dataset).unwrap();

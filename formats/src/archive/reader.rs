@@ -3,6 +3,7 @@
 use std::ops::Range;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
+use super::bytes::checksum;
 use super::description::{Description, Summary};
 use super::entry::{ConstantTexel, PageEntry, Payload, payload_checksum};
 use super::error::ArchiveError;
@@ -109,6 +110,13 @@ impl Archive {
     #[must_use]
     pub fn summary(&self) -> Option<&Summary> {
         self.tail.as_ref().map(|tail| &tail.summary)
+    }
+
+    /// What names the archive's content, as [`Written`](super::Written) has it; `None` if the
+    /// trailer or the summary is damaged.
+    #[must_use]
+    pub fn content(&self) -> Option<u64> {
+        self.tail.as_ref().map(|tail| checksum(&tail.trailer.to_bytes()))
     }
 
     /// Pages in the index.

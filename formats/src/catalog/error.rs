@@ -75,6 +75,15 @@ pub enum CatalogError {
         path: PathBuf,
     },
 
+    /// An archive under the name of another.
+    #[error("{} is not the archive of {dataset} that the manifest names", path.display())]
+    OtherArchive {
+        /// The file.
+        path: PathBuf,
+        /// The dataset.
+        dataset: String,
+    },
+
     /// An archive that cannot be read.
     #[error("cannot read the archive {}", path.display())]
     Archive {

@@ -63,6 +63,29 @@ impl Catalog {
         }
     }
 
+    /// Opens the newest generation with the archive of each dataset, or why there is none: damage
+    /// to one dataset is no reason not to read the others.
+    ///
+    /// # Errors
+    ///
+    /// Any [`CatalogError`] of the catalog itself.
+    pub fn open_each(
+        folder: &Path,
+    ) -> Result<(Self, Vec<Result<Archive, CatalogError>>), CatalogError> {
+        loop {
+            let catalog = Self::open(folder)?;
+            let archives: Vec<_> =
+                catalog.datasets().iter().map(|record| catalog.archive(record)).collect();
+            let missing = |archive| matches!(archive, &Err(CatalogError::Missing { .. }));
+            if archives.iter().any(missing)
+                && Self::open(folder)?.generation() > catalog.generation()
+            {
+                continue;
+            }
+            return Ok((catalog, archives));
+        }
+    }
+
     /// How often the catalog has changed.
     #[must_use]
     pub fn generation(&self) -> u64 {
@@ -112,6 +135,7 @@ impl Catalog {
     /// # Errors
     ///
     /// [`CatalogError::Missing`] if the file is gone: a newer generation may have dropped it.
+    /// [`CatalogError::OtherArchive`] if it is not the archive that the manifest names.
     pub fn archive(&self, record: &DatasetRecord) -> Result<Archive, CatalogError> {
         let path = self.archive_path(record);
         let file = match fs::File::open(&path) {
@@ -121,6 +145,20 @@ impl Catalog {
             opened => opened.and_then(FileSource::new),
         };
         let source = file.map_err(|source| CatalogError::io("open", &path, source))?;
-        Archive::open(Box::new(source)).map_err(|source| CatalogError::Archive { path, source })
+        let archive = match Archive::open(Box::new(source)) {
+            Ok(archive) => archive,
+            Err(source) => return Err(CatalogError::Archive { path, source }),
+        };
+        let description = archive.description();
+        let content = archive.content().map(|content| format!("{content:016x}"));
+        let same = description.dataset == record.name
+            && description.kind == record.kind
+            // Without a whole trailer the archive is damaged, not another.
+            && content.is_none_or(|content| content == record.content);
+        if !same {
+            let dataset = record.name.clone();
+            return Err(CatalogError::OtherArchive { path, dataset });
+        }
+        Ok(archive)
     }
 }

@@ -127,7 +127,7 @@ pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, Catal
     let target = archives.join(&name);
 
     let mut in_place = false;
-    change(disk, &folder, |newest| {
+    let published = change(disk, &folder, |newest| {
         let mut manifest = newest.unwrap_or_else(|| Manifest::empty(dataset.body.clone()));
         if manifest.datasets.is_empty() {
             manifest.body = dataset.body.clone();
@@ -161,7 +161,13 @@ pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, Catal
         };
         manifest.put_in(record, bounds);
         Ok(manifest)
-    })
+    });
+    if published.is_err() && !in_place {
+        // If it cannot be removed, the next build of this name discards it; the first error says
+        // more.
+        let _ = disk.remove(&path);
+    }
+    published
 }
 
 /// Removes the dataset called `name` and returns the generation without it.

@@ -1,4 +1,4 @@
-//! Samples to what pages hold: heights in metres, and colours of 8 bits.
+//! Samples to what pages hold: heights in meters, and colors of 8 bits.
 
 use super::error::RasterError;
 use super::samples::{Sample, SampleType, Samples, with_samples};
@@ -49,9 +49,9 @@ fn heights<T: Sample>(
     }
 }
 
-/// The colours of a block: its first three bands, or its only one three times.
+/// The colors of a block: its first three bands, or its only one three times.
 ///
-/// Alpha is 0 where there is no data: where the file's own alpha is 0, or where every colour band
+/// Alpha is 0 where there is no data: where the file's own alpha is 0, or where every color band
 /// equals the no-data value. Elsewhere it is the file's, at least 1, or 255. Samples of 16 bits
 /// become the nearest of 8.
 ///
@@ -72,13 +72,13 @@ pub fn colors_into(
     out_rgb: &mut [[u8; 3]],
     out_alpha: &mut [u8],
 ) -> Result<(), RasterError> {
-    assert_eq!(out_rgb.len(), out_alpha.len(), "colours and alpha are of the same pixels");
+    assert_eq!(out_rgb.len(), out_alpha.len(), "colors and alpha are of the same pixels");
     let stride = checked_stride(block, info, out_rgb.len());
     match &block.samples {
         Samples::U8(values) => colors(values, stride, info, |value| value, out_rgb, out_alpha),
         Samples::U16(values) => colors(values, stride, info, byte_of, out_rgb, out_alpha),
         _ => {
-            let found = format!("colours of type {:?}", info.sample);
+            let found = format!("colors of type {:?}", info.sample);
             let supported = format!("{:?} and {:?}", SampleType::U8, SampleType::U16);
             return Err(RasterError::not_supported(&info.path, found, supported));
         }
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_colour_is_no_data_only_if_all_its_bands_are() {
+    fn a_color_is_no_data_only_if_all_its_bands_are() {
         let info = RasterInfo { nodata: Some(0.0), ..info(SampleType::U8, 3, false) };
         let samples = Samples::U8(vec![0, 0, 0, 0, 0, 1, 1, 2, 3, 0, 9, 0]);
         let (rgb, alpha) = colors_of(samples, &info);
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_of_other_types_are_refused() {
+    fn colors_of_other_types_are_refused() {
         let (mut rgb, mut alpha) = ([[0; 3]; 4], [0; 4]);
         let samples = block(Samples::F32(vec![0.0; 4]));
         let result = colors_into(&samples, &info(SampleType::F32, 1, false), &mut rgb, &mut alpha);

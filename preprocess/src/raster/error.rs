@@ -54,7 +54,7 @@ pub enum RasterError {
     },
 
     /// Compressed samples that do not decode.
-    #[error("{}: {what} at byte {offset} is damaged: {source}", path.display())]
+    #[error("{}: {what} at byte {offset} is damaged", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -78,7 +78,7 @@ pub enum RasterError {
     },
 
     /// A coordinate reference system that is not understood.
-    #[error("{}: {origin}: {source}", path.display())]
+    #[error("{}: {origin} is not understood", path.display())]
     Crs {
         /// The raster.
         path: PathBuf,
@@ -113,7 +113,7 @@ pub enum RasterError {
     },
 
     /// The operating system refused.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("cannot {action} {}", path.display())]
     Io {
         /// The file.
         path: PathBuf,

@@ -19,11 +19,13 @@ pub(crate) struct PositionedFile {
 impl PositionedFile {
     /// Opens a regular file.
     pub(crate) fn open(path: &Path) -> Result<Self, RasterError> {
-        let file = File::open(path).map_err(RasterError::io("open", path))?;
-        let metadata = file.metadata().map_err(RasterError::io("inspect", path))?;
-        if metadata.is_dir() {
-            return Err(RasterError::not_supported(path, "a folder", "a raster file"));
+        // Asked first: opening a pipe would wait for a writer.
+        let metadata = std::fs::metadata(path).map_err(RasterError::io("open", path))?;
+        if !metadata.is_file() {
+            let found = if metadata.is_dir() { "a folder" } else { "no regular file" };
+            return Err(RasterError::not_supported(path, found, "a raster file"));
         }
+        let file = File::open(path).map_err(RasterError::io("open", path))?;
         Ok(Self { file, path: path.to_owned(), len: metadata.len() })
     }
 

@@ -184,7 +184,7 @@ fn on_body(
     Ok(crs.on_body(ellipsoid, latitudes.unwrap_or(implied)))
 }
 
-/// Degrees beyond the poles are metres by mistake, or another system.
+/// Degrees beyond the poles are meters by mistake, or another system.
 fn check_latitudes(
     path: &Path,
     (width, height): (u32, u32),
@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn metres_called_degrees_are_refused() {
+    fn meters_called_degrees_are_refused() {
         let meters = [0.0, 0.0, 1e5, 1e5];
         assert!(placed(&options(meters, None, Some("EPSG:4326"))).is_err());
         assert!(placed(&options(meters, None, Some("EPSG:3031"))).is_ok());

@@ -49,7 +49,7 @@ pub struct RasterInfo {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Bands of height or colour; alpha is not counted.
+    /// Bands of height or color; alpha is not counted.
     pub bands: u16,
     /// Whether every pixel has, after its bands, a sample of alpha; 0 there is no data.
     pub has_alpha: bool,
@@ -164,7 +164,7 @@ pub trait Raster: Send + Sync + Debug {
 pub struct ReadOptions {
     /// `EPSG:n`, `IAU_2015:n`, a PROJ string, WKT, or the path of a file that holds one of those.
     pub crs: Option<String>,
-    /// West, south, east, north of the raster's outer edges, in degrees or metres of its CRS.
+    /// West, south, east, north of the raster's outer edges, in degrees or meters of its CRS.
     pub extent: Option<[f64; 4]>,
     /// The sample that stands for no data.
     pub nodata: Option<f64>,

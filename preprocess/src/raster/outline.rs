@@ -8,7 +8,7 @@ use super::error::RasterError;
 ///
 /// # Units
 ///
-/// Degrees for geographic systems, metres for projected ones.
+/// Degrees for geographic systems, meters for projected ones.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outline {
     /// x and y of the *outer corner* of the first (top left) pixel, whatever the file's own

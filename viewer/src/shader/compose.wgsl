@@ -37,8 +37,8 @@ fn read_levels(dataset: Dataset, point: MapPoint, wanted: f32, base: f32, color:
     let upper = i32(ceil(wanted));
     let toward_coarse = f32(upper) - wanted;
     var fine = read_page(dataset, point, upper, base, color);
-    // A page that is coarser than asked stands in for both levels.
-    let both = fine.texel.coverage > 0.0 && i32(fine.level) < upper;
+    // A page of another level than asked stands in for both.
+    let both = fine.texel.coverage > 0.0 && i32(fine.level) != upper;
     if toward_coarse > 0.0 && !both {
         let coarse = read_page(dataset, point, upper - 1, base, color);
         if fine.texel.coverage == 0.0 {

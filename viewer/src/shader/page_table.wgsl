@@ -11,7 +11,9 @@
 //            +-------+-------+-------+-------+---------+
 //
 // An entry names the finest page in memory that covers its place and is not finer than its level:
-// the page itself, or an ancestor. Outside a level's window the coarser levels are asked.
+// the page itself, or an ancestor. Outside a level's window the coarser levels are asked, and where
+// none of them has a page, the finer ones: a view may need fine pages for their error alone, and
+// show them from so far that coarser ones would do.
 //
 // Mirrored   atlas/table.rs, which writes it; a test reads it back through this file
 
@@ -47,22 +49,38 @@ fn page_of(dataset: Dataset, point: MapPoint, level: i32) -> vec2i {
     return min(cell / dataset.interior, pages - 1);
 }
 
-// The finest page in memory at most as fine as `level`; its entry is 0 if there is none.
+// Where the entry of a place at a level stands in the table, or below 0 outside the level's window.
+fn entry_place(dataset: Dataset, point: MapPoint, level: i32) -> i32 {
+    let header = dataset.first_window + 5 * level;
+    let page = page_of(dataset, point, level);
+    let row = page.y - table[header];
+    var column = page.x - table[header + 1];
+    if column < 0 && dataset.wraps != 0 {
+        let halvings = u32(dataset.levels - 1 - level);
+        column += (level_size(dataset.size.x, halvings) + dataset.interior - 1) / dataset.interior;
+    }
+    let columns = table[header + 3];
+    if row >= 0 && row < table[header + 2] && column >= 0 && column < columns {
+        return table[header + 4] + row * columns + column;
+    }
+    return -1;
+}
+
+// The finest page in memory at most as fine as `level`, or else the coarsest that is finer; its entry
+// is 0 if there is none.
 fn find_page(dataset: Dataset, point: MapPoint, level: i32) -> Found {
     var entry = 0u;
     for (var asked = level; asked >= 0; asked--) {
-        let header = dataset.first_window + 5 * asked;
-        let page = page_of(dataset, point, asked);
-        let row = page.y - table[header];
-        var column = page.x - table[header + 1];
-        if column < 0 && dataset.wraps != 0 {
-            let halvings = u32(dataset.levels - 1 - asked);
-            column += (level_size(dataset.size.x, halvings) + dataset.interior - 1) / dataset.interior;
-        }
-        let columns = table[header + 3];
-        if row >= 0 && row < table[header + 2] && column >= 0 && column < columns {
-            entry = u32(table[table[header + 4] + row * columns + column]);
+        let place = entry_place(dataset, point, asked);
+        if place >= 0 {
+            entry = u32(table[place]);
             break;
+        }
+    }
+    for (var asked = level + 1; asked < dataset.levels && (entry & HOLDS) == 0u; asked++) {
+        let place = entry_place(dataset, point, asked);
+        if place >= 0 {
+            entry = u32(table[place]);
         }
     }
     if (entry & HOLDS) == 0u {

@@ -8,7 +8,7 @@
 
 use super::{Method, Parameters, ParseCrsError, Radii};
 
-/// Radii in metres, equatorial and polar, of the bodies of IAU_2015 by their NAIF number.
+/// Radii in meters, equatorial and polar, of the bodies of IAU_2015 by their NAIF number.
 const IAU_2015: [(u32, f64, f64); 5] = [
     (199, 2_440_530.0, 2_438_260.0),
     (299, 6_051_800.0, 6_051_800.0),

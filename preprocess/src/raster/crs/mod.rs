@@ -93,7 +93,7 @@ impl ParseCrsError {
 /// A coordinate reference system and the unit of its maps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapCrs {
-    /// The system, in metres or degrees.
+    /// The system, in meters or degrees.
     pub crs: Crs,
     /// Metres to a unit of the map's coordinates; 1 for geographic systems, which are in degrees.
     pub meters_per_unit: f64,
@@ -161,10 +161,10 @@ impl MapCrs {
 ///
 /// # Units
 ///
-/// Degrees; `false_*` in metres.
+/// Degrees; `false_*` in meters.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Parameters {
-    /// Equatorial radius in metres, and either the polar one or the inverse flattening.
+    /// Equatorial radius in meters, and either the polar one or the inverse flattening.
     pub(crate) ellipsoid: Radii,
     pub(crate) method: Method,
     pub(crate) false_easting_m: f64,
@@ -173,7 +173,7 @@ pub(crate) struct Parameters {
     pub(crate) meters_per_unit: f64,
 }
 
-/// The shape of a body as files give it, in metres.
+/// The shape of a body as files give it, in meters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Radii {
     Polar {
@@ -313,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn kilometres_come_with_their_factor() {
+    fn kilometers_come_with_their_factor() {
         let parameters = [("false_easting", 2.0)];
         let found = map(&projected("Equirectangular", &parameters, 1000.0));
         assert_eq!(found.meters_per_unit, 1000.0);

@@ -89,7 +89,7 @@ fn meters_per_unit(root: &Node) -> Result<f64, ParseCrsError> {
         Some(1000.0) => Ok(1000.0),
         Some(meters) => Err(ParseCrsError::NotSupported {
             found: format!("a unit of {} ({meters} m)", unit.name()),
-            supported: "metres and kilometres",
+            supported: "meters and kilometers",
         }),
     }
 }
@@ -181,7 +181,7 @@ impl Projection<'_> {
         })
     }
 
-    /// A length in metres, 0 if it is not given.
+    /// A length in meters, 0 if it is not given.
     fn length(&self, names: &[&str]) -> f64 {
         let value = self.number(names).unwrap_or(0.0);
         let unit = self.parameter(names).and_then(|node| node.child(&["LENGTHUNIT", "UNIT"]));

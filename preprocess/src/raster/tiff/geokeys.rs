@@ -202,7 +202,7 @@ impl GeoKeys {
             Some(_) if projected => Ok(()),
             Some(unit) => Err(ParseCrsError::NotSupported {
                 found: format!("radii in a unit of code {unit}"),
-                supported: "metres (9001)",
+                supported: "meters (9001)",
             }),
         }
     }
@@ -216,7 +216,7 @@ impl GeoKeys {
                     Some(size) => format!("a unit of {size} m"),
                     None => format!("a linear unit of code {unit}"),
                 },
-                supported: "metres (9001) and kilometres (9036)",
+                supported: "meters (9001) and kilometers (9036)",
             }),
         }
     }

@@ -26,7 +26,7 @@ pub(crate) enum Meaning {
     Bands,
     /// They are Y, Cb and Cr of JPEG.
     YCbCr,
-    /// They are places in this table of colours.
+    /// They are places in this table of colors.
     Palette(Vec<[u8; 3]>),
 }
 
@@ -62,7 +62,7 @@ impl Pixel {
         } else {
             (color..usize::from(stored)).find(|&at| matches!(extra.get(at - color), Some(1 | 2)))
         };
-        // Unnamed extra samples are bands like the others of a gray raster, and none of a colour's.
+        // Unnamed extra samples are bands like the others of a gray raster, and none of a color's.
         let bands = if matches!(photometric, 0 | 1) { usize::from(stored) } else { color.min(3) };
         let mut kept: Vec<u16> =
             (0..stored).filter(|&at| usize::from(at) < bands && Some(at.into()) != alpha).collect();
@@ -204,7 +204,7 @@ fn meaning(
         5 => "CMYK",
         6 => "YCbCr without JPEG, or in planes",
         8..=10 => "CIE L*a*b*",
-        _ => "an unknown colour space",
+        _ => "an unknown color space",
     };
     Err(RasterError::not_supported(
         path,

@@ -31,7 +31,7 @@ pub(super) fn nodata(tiff: &TiffFile, directory: &Directory) -> Result<Option<f6
     Ok(Some(number))
 }
 
-/// The scale and offset of the first band, in metres; `meters_per_height` is the unit that the geo
+/// The scale and offset of the first band, in meters; `meters_per_height` is the unit that the geo
 /// keys give, if any.
 pub(super) fn scaling(
     tiff: &TiffFile,

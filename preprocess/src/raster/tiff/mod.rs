@@ -178,7 +178,7 @@ impl TiffRaster {
         })
     }
 
-    /// Samples as bands: colours of palettes and of JPEG become red, green, blue.
+    /// Samples as bands: colors of palettes and of JPEG become red, green, blue.
     fn bands_of(&self, samples: Samples) -> Samples {
         match (samples, &self.pixel.meaning) {
             (Samples::U8(mut values), Meaning::YCbCr) => {
@@ -312,7 +312,7 @@ fn reverse_rows<T>(values: &mut [T], row_len: usize) {
     }
 }
 
-/// The colour of a JPEG file's Y, Cb, Cr.
+/// The color of a JPEG file's Y, Cb, Cr.
 ///
 /// # References
 ///

@@ -18,7 +18,13 @@ fn opened(tiff: &TestTiff) -> Result<Box<dyn Raster>, RasterError> {
 }
 
 fn error_of(tiff: &TestTiff) -> String {
-    opened(tiff).unwrap_err().to_string()
+    with_causes(&opened(tiff).unwrap_err())
+}
+
+/// An error and its causes, as the user reads them.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(Some(error), |&error| error.source());
+    causes.map(ToString::to_string).collect::<Vec<_>>().join(": ")
 }
 
 fn numbers(block: &Block) -> Vec<f64> {

@@ -9,10 +9,10 @@ use std::io::{Seek, SeekFrom, Write};
 
 fn message(name: &str, bytes: &[u8]) -> String {
     match open_bytes(name, bytes) {
-        Err(error) => error.to_string(),
+        Err(error) => with_causes(&error),
         Ok(raster) => {
             let error = blocks(&*raster).find_map(Result::err);
-            error.expect("a damaged file cannot be read to its end").to_string()
+            with_causes(&error.expect("a damaged file cannot be read to its end"))
         }
     }
 }

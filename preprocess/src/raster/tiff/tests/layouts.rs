@@ -137,7 +137,7 @@ fn tiles_left_out_are_no_data() {
 }
 
 #[test]
-fn alpha_is_found_and_unnamed_extra_samples_of_colours_are_dropped() {
+fn alpha_is_found_and_unnamed_extra_samples_of_colors_are_dropped() {
     let four = TestTiff { bands: 4, ..globe((20, 20), SampleType::U8) };
     let info = |tiff: &TestTiff| {
         let raster = opened(tiff).unwrap();
@@ -161,7 +161,7 @@ fn alpha_is_found_and_unnamed_extra_samples_of_colours_are_dropped() {
 }
 
 #[test]
-fn palettes_become_colours_and_their_nodata_alpha() {
+fn palettes_become_colors_and_their_nodata_alpha() {
     let mut map = vec![0_u16; 768];
     for (index, value) in (0_u16..).zip(map.iter_mut()) {
         *value = if index < 256 { index << 8 } else { 0x0700 };

@@ -136,7 +136,7 @@ fn polar_stereographic_comes_with_a_scale_or_a_parallel() {
 }
 
 #[test]
-fn kilometres_are_scaled_and_feet_refused() {
+fn kilometers_are_scaled_and_feet_refused() {
     let raster = opened(&polar(15, 90.0, 9036)).unwrap();
     assert_eq!(raster.info().outline.pixel_size, [10_000.0, 10_000.0]);
     let Projection::PolarStereographic(map) = raster.info().crs.unwrap().projection else {
@@ -193,7 +193,7 @@ fn a_file_without_keys_is_placed_by_the_files_beside_it() {
 }
 
 #[test]
-fn scale_offset_and_units_become_metres() {
+fn scale_offset_and_units_become_meters() {
     let xml = "<GDALMetadata><Item name=\"OFFSET\" sample=\"0\" role=\"offset\">100</Item>\
                <Item name=\"SCALE\" sample=\"0\" role=\"scale\">0.5</Item>\
                <Item name=\"UNITTYPE\" sample=\"0\" role=\"unittype\">km</Item></GDALMetadata>";
