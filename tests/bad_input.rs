@@ -187,6 +187,55 @@ fn a_catalog_that_cannot_be_written_is_an_error() {
     assert_refused(&command.output().unwrap(), &["occupied"]);
 }
 
+/// Refused before anything is built: nothing is left of it.
+#[test]
+fn a_refused_ingest_leaves_no_build() {
+    let bench = Bench::new();
+    let moon = ["good.tif", "--name", "x", "--crs", "+proj=longlat +R=1737400 +no_defs"];
+    assert!(!bench.ingest(&moon).status.success());
+    assert!(bench.path("catalog/build").read_dir().unwrap().next().is_none());
+}
+
+/// An archive that is gone, or another's under its name: the other dataset answers, `verify` tells,
+/// and `ingest --force` mends.
+#[test]
+fn damage_to_one_dataset_is_confined_to_it() {
+    let bench = Bench::new();
+    assert!(bench.ingest(&["good.tif", "--name", "other", "--step-m", "10"]).status.success());
+    let run = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_areoid"));
+        command.current_dir(bench.folder.path()).args(arguments).output().unwrap()
+    };
+    let archive = |name: &str| {
+        let folder = bench.path("catalog/archives").read_dir().unwrap();
+        let mut paths = folder.map(|entry| entry.unwrap().path());
+        paths.find(|path| path.file_name().unwrap().to_str().unwrap().starts_with(name)).unwrap()
+    };
+    let victim = archive("other-");
+    for swapped in [true, false] {
+        if swapped {
+            fs::copy(archive("good-"), &victim).unwrap();
+        } else {
+            fs::remove_file(&victim).unwrap();
+        }
+        let verified = run(&["verify", "catalog", "--json"]);
+        let report = String::from_utf8(verified.stdout).unwrap();
+        assert_eq!(verified.status.code(), Some(1), "{report}");
+        assert!(report.contains("\"ok\": false") && report.contains("other"), "{report}");
+        let info = run(&["info", "catalog", "--json"]);
+        let listed = String::from_utf8(info.stdout).unwrap();
+        assert_eq!(info.status.code(), Some(1));
+        assert!(listed.contains("\"good\"") && listed.contains("\"error\""), "{listed}");
+        let height = |dataset| run(&["height", "catalog", "--at", "20,40", "--dataset", dataset]);
+        assert!(height("good").status.success());
+        assert_refused(&height("other"), &["other"]);
+        let again = ["good.tif", "--name", "other", "--step-m", "10", "--force"];
+        let mended = bench.ingest(&again);
+        assert!(mended.status.success(), "{mended:?}");
+        assert!(run(&["verify", "catalog"]).status.success());
+    }
+}
+
 /// A disk that fills up while the archive is written.
 #[test]
 fn a_full_disk_is_an_error_and_changes_nothing() {

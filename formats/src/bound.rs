@@ -83,6 +83,8 @@ pub struct Child<'a> {
     pub window: Window<'a>,
     /// Rows and columns of its interior inside the outline.
     pub size: (usize, usize),
+    /// Whether it is of the finest level: where a tap of it is missing, law 1 is silent.
+    pub finest: bool,
     /// Its intervals; `None` if they are all zero, as for leaves stored without loss.
     pub cells: Option<&'a Cells>,
 }
@@ -346,6 +348,11 @@ fn careful(
         weighing.map(|&(r, c, weight)| weight * parent.at(r, c)).sum::<f64>()
     });
     let (least, greatest) = finest_around(child.window, row, col);
+    let known_coarse = coarse.iter().filter(|here| !here.is_nan());
+    let (lowest, highest) = known_coarse
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &here| {
+            (low.min(here), high.max(here))
+        });
 
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for ((down, across), here) in LATTICE.into_iter().zip(coarse) {
@@ -360,6 +367,9 @@ fn careful(
             }
             continue;
         }
+        if child.finest {
+            continue;
+        }
         // The chain breaks on the quarters and edges that meet here. R_l is bilinear on each, so
         // its extremes are at the points of the lattice beside this one; R_L may be anything.
         for ((other_down, other_across), there) in LATTICE.into_iter().zip(coarse) {
@@ -370,7 +380,8 @@ fn careful(
             }
         }
     }
-    (low, high)
+    // Nothing in the cell is farther apart than the two surfaces' own ranges.
+    (low.max(lowest - greatest - rounding), high.min(highest - least + rounding))
 }
 
 /// Least and greatest finest texel under a child cell and its eight neighbors.

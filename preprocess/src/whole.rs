@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use areoid_formats::address::PageAddress;
+use areoid_formats::address::{Level, PageAddress};
 use areoid_formats::archive::{ConstantTexel, Description, PageEntry, Payload};
 use areoid_formats::bound::{self, Cells, Child, Span};
 use areoid_formats::codec::{self, EncodeError};
@@ -46,7 +46,7 @@ pub fn finish(
     let cells = if page.level == pyramid.finest() {
         leaf_cells(&window, size)
     } else {
-        Some(parent_cells(&window, size, children))
+        Some(parent_cells(&window, size, children, pyramid.finest()))
     };
     let own_bound = cells.iter().flatten().map(Cells::bound).fold(0.0, f32::max);
     // Two reconstructions of codes are no farther apart than the codes themselves.
@@ -84,7 +84,12 @@ fn leaf_cells(window: &Window, size: (usize, usize)) -> Option<Vec<Cells>> {
     )
 }
 
-fn parent_cells(window: &Window, size: (usize, usize), children: &[PlacedWhole]) -> Vec<Cells> {
+fn parent_cells(
+    window: &Window,
+    size: (usize, usize),
+    children: &[PlacedWhole],
+    finest: Level,
+) -> Vec<Cells> {
     (0..window.planes.len())
         .map(|channel| {
             // A leaf's own texels before rounding are its span.
@@ -108,6 +113,7 @@ fn parent_cells(window: &Window, size: (usize, usize), children: &[PlacedWhole])
                         col: *col,
                         window: bound::Window { side: window.side, texels, span },
                         size: child.size,
+                        finest: child.entry.page.level == finest,
                         cells: child.cells.as_ref().map(|cells| &cells[channel]),
                     }
                 })
