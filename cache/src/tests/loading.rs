@@ -141,10 +141,13 @@ fn many_sessions_read_a_page_once() {
             });
         }
     });
-    let reads = globe.page_reads();
-    assert!(reads.values().all(|&count| count == 1), "{reads:?}");
+    // A page that all have turned away from may be given up between its read and its decoding, and
+    // be read anew for the next who wants it; but none is loaded twice.
+    let reads: usize = globe.page_reads().values().sum();
     let stats = cache.stats();
-    assert_eq!((stats.loads, stats.errors, stats.evictions), (reads.len() as u64, 0, 0));
+    assert_eq!((stats.errors, stats.evictions), (0, 0));
+    assert_eq!(stats.loads, stats.pages as u64);
+    assert!(reads as u64 <= stats.loads + stats.cancelled, "{reads} reads: {stats:?}");
     assert_eq!(stats.reserved_bytes, 0);
 }
 
