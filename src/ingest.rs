@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Duration;
 
 use areoid_formats::catalog::RealDisk;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
 use areoid_preprocess::build::{Proceed, Progress};
-use areoid_preprocess::ingest::{Existing, Outcome, Reading, Request, ingest};
+use areoid_preprocess::ingest::{Existing, Outcome, Reading, Request, Unfinished, ingest};
 use serde_json::json;
 
 use crate::args::numbers;
@@ -85,12 +86,16 @@ pub(crate) struct Args {
     #[arg(long, value_name = "METERS")]
     pixel_size_m: Option<f64>,
 
-    /// Memory to use. Not enforced yet: a build keeps what waits for its neighbors in memory.
-    #[arg(long, value_name = "MIB")]
-    memory_mib: Option<u64>,
+    /// Memory to use: what exceeds it waits in a file beside the archive.
+    #[arg(long, value_name = "MIB", default_value_t = 2048)]
+    memory_mib: u64,
 
-    /// Go on with an unfinished build. Not supported yet: the build starts afresh, and makes the
-    /// same bytes.
+    /// How often to note where the work stands: about as much as --resume has to do again.
+    #[arg(long, value_name = "SECONDS", default_value_t = 15.0, value_parser = seconds)]
+    note_every_s: f64,
+
+    /// Go on with an unfinished build of the same input and options. Without it such a build is
+    /// discarded.
     #[arg(long)]
     resume: bool,
 
@@ -152,12 +157,6 @@ impl Args {
         if self.kernel.is_some() {
             output::say("warning: --kernel has no effect on the raster's own grid");
         }
-        if self.memory_mib.is_some() {
-            output::say("warning: --memory-mib is not enforced yet");
-        }
-        if self.resume {
-            output::say("warning: --resume starts afresh yet");
-        }
         if self.step_m.is_some_and(|step| !(step >= 0.0 && step.is_finite())) {
             return Err(Failure::Misused("--step-m must be 0 or a positive number".to_owned()));
         }
@@ -192,6 +191,9 @@ impl Args {
             priority: self.priority,
             threads: self.threads.map(usize::from),
             existing: if self.force { Existing::Replace } else { Existing::Keep },
+            unfinished: if self.resume { Unfinished::Resume } else { Unfinished::Discard },
+            memory_bytes: self.memory_mib << 20,
+            note_every: Duration::from_secs_f64(self.note_every_s),
             reading: Reading {
                 crs: self.crs,
                 extent: self.extent,
@@ -203,6 +205,16 @@ impl Args {
                 }),
             },
         }
+    }
+}
+
+/// A number of seconds, up to a year.
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|error| format!("{text:?}: {error}"))?;
+    if (0.0..3.2e7).contains(&seconds) {
+        Ok(seconds)
+    } else {
+        Err("expected 0 to a year".to_owned())
     }
 }
 
@@ -231,7 +243,7 @@ fn summary(outcome: &Outcome, peak: u64) -> serde_json::Value {
         "decoded_blocks": outcome.decoded_blocks,
         "bound": largest(outcome, |level| level.bound_max),
         "source_error": largest(outcome, |level| level.source_error_max),
-        "resumed_units": 0,
+        "resumed_units": outcome.resumed_units,
     })
 }
 

@@ -251,6 +251,9 @@ fn a_full_disk_is_an_error_and_changes_nothing() {
         priority: 0,
         threads: Some(1),
         existing: areoid_preprocess::ingest::Existing::Keep,
+        unfinished: areoid_preprocess::ingest::Unfinished::Discard,
+        memory_bytes: 1 << 30,
+        note_every: std::time::Duration::from_secs(60),
         reading: areoid_preprocess::ingest::Reading::default(),
     };
     let disk = FullDisk { room: std::sync::atomic::AtomicUsize::new(50_000) };

@@ -74,9 +74,9 @@ impl Disk for Dying {
         RealDisk.open_or_create(path)
     }
 
-    fn truncate(&self, file: &File) -> io::Result<()> {
+    fn truncate(&self, file: &mut File, length: u64) -> io::Result<()> {
         self.step("truncate", Path::new(""))?;
-        RealDisk.truncate(file)
+        RealDisk.truncate(file, length)
     }
 
     fn append(&self, file: &mut File, bytes: &[u8]) -> io::Result<()> {

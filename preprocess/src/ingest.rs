@@ -1,12 +1,14 @@
 //! Ingest: rasters become a dataset of a catalog.
 
 use std::fs::File;
-use std::io::{self, BufWriter, Read};
+use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use areoid_formats::archive::{Archive, Description, Source, SourceFile, Summary, Written};
+use areoid_formats::archive::{
+    Archive, ArchiveError, Description, Source, SourceFile, Summary, Written, recover,
+};
 use areoid_formats::body::Body;
 use areoid_formats::catalog::{Build, Catalog, CatalogError, Disk, NewDataset, publish_build};
 use areoid_formats::codec::{Quantum, QuantumError};
@@ -15,10 +17,13 @@ use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
 use xxhash_rust::xxh3::Xxh3;
 
-use crate::build::{self, BuildError, Proceed, Progress};
+use crate::build::{self, Begun, Means, Proceed, Progress, Site};
+use crate::build_error::BuildError;
 use crate::feather::FEATHER_TEXELS;
 use crate::mosaic::{Mosaic, MosaicError};
+use crate::note::Note;
 use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
+use crate::scratch::Scratch;
 
 /// Leaf pages along a side of a work unit.
 pub const UNIT_PAGES: u32 = 8;
@@ -44,8 +49,24 @@ pub struct Request {
     pub threads: Option<usize>,
     /// Whether a dataset of the same name made from something else is replaced.
     pub existing: Existing,
+    /// What becomes of an unfinished build of this dataset.
+    pub unfinished: Unfinished,
+    /// Memory to use, in bytes: what exceeds it goes to a file beside the archive. Two work units
+    /// and their parents must fit, whatever it is.
+    pub memory_bytes: u64,
+    /// How much work an unfinished build may lose.
+    pub note_every: Duration,
     /// How the rasters are read.
     pub reading: Reading,
+}
+
+/// What becomes of a build that did not come to its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unfinished {
+    /// It is discarded.
+    Discard,
+    /// It is gone on with, if it is one of the same input with the same options.
+    Resume,
 }
 
 /// What becomes of a dataset that is there already.
@@ -89,6 +110,8 @@ pub struct Outcome {
     pub pixels: u64,
     /// Blocks of the rasters that were decoded.
     pub decoded_blocks: u64,
+    /// Work units that an earlier process had done.
+    pub resumed_units: u64,
     /// Wall-clock seconds.
     pub seconds: f64,
 }
@@ -114,6 +137,14 @@ pub enum IngestError {
         /// Why.
         source: Box<BuildError>,
     },
+    /// What is left of an earlier build cannot be read.
+    #[error("cannot read what is left of an unfinished build of {dataset}")]
+    Leftover {
+        /// The dataset.
+        dataset: String,
+        /// Why.
+        source: ArchiveError,
+    },
     /// A step that heights cannot be stored on.
     #[error(transparent)]
     Step(#[from] QuantumError),
@@ -123,6 +154,14 @@ pub enum IngestError {
     /// The threads cannot be started.
     #[error("cannot start the threads: {0}")]
     Threads(String),
+}
+
+impl IngestError {
+    /// Whether the ingest left a build that can be gone on with.
+    #[must_use]
+    pub fn can_be_resumed(&self) -> bool {
+        matches!(self, Self::Build { source, .. } if source.can_be_resumed())
+    }
 }
 
 /// Boxed, because these errors are many times larger than what they are returned beside.
@@ -163,6 +202,7 @@ pub fn ingest(
         bytes: 0,
         pixels: u64::from(extent.width) * u64::from(extent.height),
         decoded_blocks: 0,
+        resumed_units: 0,
         seconds: 0.0,
     };
     if let Some(catalog) = &catalog
@@ -174,13 +214,16 @@ pub fn ingest(
         return Ok(outcome);
     }
 
-    let mut build = Build::start(disk, &request.catalog, &description.dataset)?;
-    let written = match write(request, &description, &mosaic, &mut build, watch) {
+    let (mut build, begun) = begin(disk, request, &description)?;
+    outcome.resumed_units = begun.as_ref().map_or(0, |begun| begun.archive.units);
+    let written = match write(request, &description, &mosaic, (&mut build, begun), watch) {
         Ok(written) => written,
         Err(error) => {
-            // What cannot be removed either is swept by the next build of this name; the first
-            // error says more.
-            let _ = build.discard();
+            if !error.can_be_resumed() {
+                // What cannot be removed either is swept by the next build of this name; the first
+                // error says more.
+                let _ = build.discard();
+            }
             return Err(error);
         }
     };
@@ -202,12 +245,54 @@ pub fn ingest(
     Ok(outcome)
 }
 
+/// Opens the place of the build, and what is left there of an earlier one that can be gone on with.
+fn begin<'a>(
+    disk: &'a dyn Disk,
+    request: &Request,
+    description: &Description,
+) -> Result<(Build<'a>, Option<Begun>), IngestError> {
+    let (folder, name) = (&request.catalog, &description.dataset);
+    if request.unfinished == Unfinished::Discard {
+        return Ok((Build::start(disk, folder, name)?, None));
+    }
+    let mut build = Build::resume(disk, folder, name)?;
+    let archive = recover::unfinished(&build.source()?, description)
+        .map_err(|source| IngestError::Leftover { dataset: name.clone(), source })?;
+    let Some(archive) = archive.filter(|archive| archive.units > 0) else {
+        build.cut(0)?;
+        return Ok((build, None));
+    };
+    build.cut(archive.end)?;
+    let note = build.last_note()?.and_then(|note| Note::from_bytes(&note));
+    Ok((build, Some(Begun { archive, note })))
+}
+
+/// A build's archive, written in large pieces.
+struct Buffered<'a, 'b>(BufWriter<&'a mut Build<'b>>);
+
+impl Write for Buffered<'_, '_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush()
+    }
+}
+
+impl Site for Buffered<'_, '_> {
+    fn note(&mut self, note: &[u8]) -> io::Result<()> {
+        self.0.flush()?;
+        self.0.get_mut().note(note).map_err(io::Error::other)
+    }
+}
+
 /// Builds the archive in `build`, on threads of its own.
 fn write(
     request: &Request,
     description: &Description,
     mosaic: &Mosaic,
-    build: &mut Build<'_>,
+    (build, begun): (&mut Build<'_>, Option<Begun>),
     watch: impl FnMut(Progress) -> Proceed + Send,
 ) -> Result<Written, IngestError> {
     let failed = |source| IngestError::Build {
@@ -218,11 +303,32 @@ fn write(
         .num_threads(request.threads.unwrap_or(0))
         .build()
         .map_err(|error| IngestError::Threads(error.to_string()))?;
-    let sink = BufWriter::with_capacity(1 << 20, build);
-    let (sink, written) =
-        threads.install(|| build::build(description, mosaic, sink, watch)).map_err(failed)?;
-    sink.into_inner().map_err(|error| failed(BuildError::Write(error.into_error())))?;
+    let named = begun.as_ref().and_then(|begun| begun.note.as_ref()).map(Note::slots);
+    let scratch = Scratch::new(build.scratch()?, &named.unwrap_or_default());
+    let scratch = scratch.map_err(|error| failed(BuildError::Scratch(error)))?;
+    let means = Means {
+        scratch: Arc::new(scratch),
+        frontier_bytes: request.memory_bytes.saturating_sub(step_bytes(description)),
+        note_every: request.note_every,
+    };
+    let site = Buffered(BufWriter::with_capacity(1 << 20, build));
+    let built = threads.install(|| build::build(description, mosaic, site, &means, begun, watch));
+    let (site, written) = built.map_err(failed)?;
+    site.0.into_inner().map_err(|error| failed(BuildError::Write(error.into_error())))?;
     Ok(written)
+}
+
+/// What a step of the build needs beside the pages that wait, in bytes: its leaves and those of the
+/// next unit, the pages fetched and made, and the blocks that leaves are cut from.
+fn step_bytes(description: &Description) -> u64 {
+    const EVERYTHING_ELSE: u64 = 48 << 20;
+    let side = u64::from(description.grid.pyramid().page_side());
+    let texel = match description.kind {
+        Kind::Height => 4,
+        Kind::Color | Kind::Normal => 3,
+    };
+    let unit = u64::from(description.unit_pages).pow(2) * side * side * texel;
+    5 * unit + EVERYTHING_ELSE
 }
 
 /// What the catalog has under the name of `description`, if that is the same dataset.

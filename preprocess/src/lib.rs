@@ -8,6 +8,8 @@ pub mod raster;
 
 pub mod schedule;
 
+pub mod texel;
+
 pub mod tile;
 
 pub mod feather;
@@ -15,6 +17,16 @@ pub mod feather;
 pub mod mip;
 
 pub mod whole;
+
+pub mod scratch;
+
+pub mod frontier;
+
+pub mod note;
+
+pub mod build_error;
+
+mod shop;
 
 pub mod build;
 

@@ -5,186 +5,201 @@
 //! the step of the level, ties to even. It is valid if any child is; its coverage is the mean of
 //! theirs. Children past the outline do not exist and do not count.
 
-use std::sync::{Arc, LazyLock};
-
 use areoid_formats::bound::Span;
 use areoid_formats::codec::Quantum;
-use areoid_formats::page::Kind;
 
-use crate::tile::{Tile, nothing, on_step};
+use crate::texel::Texel;
+use crate::tile::{Tile, nothing};
+
+/// Whether the finest texels under each texel are kept: only bounds beside holes need them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Spans {
+    /// They are.
+    Kept,
+    /// The source has no holes.
+    Unneeded,
+}
 
 /// A child and its place: (0 upper or 1 lower, 0 left or 1 right).
-pub type PlacedTile = ((usize, usize), Arc<Tile>);
+pub type PlacedTile<'a, S> = ((usize, usize), &'a Tile<S>);
 
-/// The interior of a parent of `rows * cols` texels, in pages of `interior` texels a side.
+/// The interior of a parent of `size` rows and columns, in pages of `side` texels.
 ///
 /// `children` are those with a valid texel; `None` if there are none.
 #[must_use]
-pub fn parent(
-    (rows, cols): (usize, usize),
-    interior: usize,
-    children: &[PlacedTile],
-    kind: Kind,
+pub fn parent<S: Texel>(
+    side: usize,
+    size: (usize, usize),
+    children: &[PlacedTile<'_, S>],
     quantum: Quantum,
-) -> Option<Tile> {
+    spans: Spans,
+) -> Option<Tile<S>> {
     if children.is_empty() {
         return None;
     }
-    let (count, channels) = (rows * cols, kind.channels());
-    let mut planes = Tile::blank(count, channels);
-    let mut spans = vec![nothing(count); channels];
-    let mut coverage = vec![0_u8; count];
-    let half = interior / 2;
+    let mut tile = Tile::blank(side, size);
+    if spans == Spans::Kept {
+        tile.spans = Some(vec![nothing(side * side); S::CHANNELS]);
+    }
+    let half = (side - 2) / 2;
     for ((down, right), child) in children {
         for child_row in (0..child.rows).step_by(2) {
-            let row = down * half + child_row / 2;
-            for child_col in (0..child.cols).step_by(2) {
-                let to = row * cols + right * half + child_col / 2;
-                let taps = Taps::of(child, child_row, child_col);
-                for channel in 0..channels {
-                    let valid = taps.valid(&child.planes[channel]);
-                    planes[channel][to] = match kind {
-                        Kind::Height => mean(valid).map_or(f32::NAN, |m| on_step(m, quantum, 1)),
-                        Kind::Color | Kind::Normal => mean_of_codes(valid),
-                    };
-                    taps.span(&mut spans[channel], to, child, channel);
-                }
-                coverage[to] = taps.coverage(child);
+            let to = tile.at(down * half + child_row / 2, right * half);
+            halve_row(&mut tile, to, child, child_row, quantum);
+        }
+    }
+    let coverage = tile.coverage.as_ref()?;
+    let all = |wanted: u8| {
+        (0..size.0).all(|row| coverage[tile.row(row)].iter().all(|&code| code == wanted))
+    };
+    if all(0) {
+        return None;
+    }
+    if all(u8::MAX) {
+        tile.coverage = None;
+    }
+    Some(tile)
+}
+
+/// Two rows of a child into one of its parent, from `to` on.
+fn halve_row<S: Texel>(
+    parent: &mut Tile<S>,
+    to: usize,
+    child: &Tile<S>,
+    row: usize,
+    quantum: Quantum,
+) {
+    let upper = child.row(row);
+    let whole = row + 1 < child.rows;
+    let lower = child.row(if whole { row + 1 } else { row });
+    let covered = |range: &std::ops::Range<usize>| {
+        child.coverage.as_ref().is_none_or(|codes| !codes[range.clone()].contains(&0))
+    };
+    // Pairs of columns that have all four texels go together; what is left one by one.
+    let simple = if whole && covered(&upper) && covered(&lower) { child.cols / 2 } else { 0 };
+    for channel in 0..S::CHANNELS {
+        let plane = &child.planes[channel];
+        let rows = [&plane[upper.clone()], &plane[lower.clone()]];
+        S::halve(rows, quantum, &mut parent.planes[channel][to..to + simple]);
+        if let Some(spans) = &mut parent.spans {
+            let (low, high) = span_of(child, channel);
+            let part = to..to + simple;
+            let pick = |a: S, b: S| if b < a { b } else { a };
+            fold_pairs(
+                [&low[upper.clone()], &low[lower.clone()]],
+                &mut spans[channel].least[part.clone()],
+                pick,
+            );
+            let pick = |a: S, b: S| if b > a { b } else { a };
+            fold_pairs(
+                [&high[upper.clone()], &high[lower.clone()]],
+                &mut spans[channel].greatest[part],
+                pick,
+            );
+        }
+    }
+    let codes = parent.coverage.as_mut().expect("a blank tile has coverage");
+    match &child.coverage {
+        None => codes[to..to + simple].fill(u8::MAX),
+        Some(coverage) => {
+            let pairs = coverage[upper.clone()].as_chunks::<2>().0.iter();
+            let pairs = pairs.zip(coverage[lower.clone()].as_chunks::<2>().0);
+            for (code, (&[a, b], &[c, d])) in codes[to..to + simple].iter_mut().zip(pairs) {
+                *code = mean_coverage(&[a, b, c, d]);
             }
         }
     }
-    let full = coverage.iter().all(|&code| code == u8::MAX);
-    let coverage = (!full).then_some(coverage);
-    Some(Tile { rows, cols, planes, original: None, coverage, spans: Some(spans) })
+    for col in (2 * simple..child.cols).step_by(2) {
+        one_texel(parent, to + col / 2, child, (row, col), quantum);
+    }
 }
 
-/// The one to four child texels under a parent texel.
-struct Taps {
-    places: [usize; 4],
-    count: usize,
-}
-
-impl Taps {
-    fn of(child: &Tile, row: usize, col: usize) -> Self {
-        let at = row * child.cols + col;
-        let (below, beside) = (row + 1 < child.rows, col + 1 < child.cols);
-        let (places, count) = match (below, beside) {
-            (true, true) => ([at, at + 1, at + child.cols, at + child.cols + 1], 4),
-            (true, false) => ([at, at + child.cols, at, at], 2),
-            (false, true) => ([at, at + 1, at, at], 2),
-            (false, false) => ([at; 4], 1),
-        };
-        Self { places, count }
-    }
-
-    fn each(&self) -> impl Iterator<Item = usize> + '_ {
-        self.places[..self.count].iter().copied()
-    }
-
-    fn valid<'a>(&'a self, plane: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
-        self.each().map(|at| plane[at]).filter(|texel| !texel.is_nan())
-    }
-
-    fn coverage(&self, child: &Tile) -> u8 {
-        let Some(codes) = &child.coverage else { return u8::MAX };
-        let sum: u32 = self.each().map(|at| u32::from(codes[at])).sum();
-        if sum == 0 {
-            return 0;
-        }
-        // Rounded to nearest, but full only where all are, and never down to invalid.
-        let count = u32::try_from(self.count).expect("at most four");
-        let nearest = (2 * sum + count) / (2 * count);
-        let full = sum == 255 * count;
-        u8::try_from(nearest.clamp(1, if full { 255 } else { 254 })).expect("clamped to codes")
-    }
-
-    fn span(&self, span: &mut Span, to: usize, child: &Tile, channel: usize) {
-        for at in self.each() {
-            let (least, greatest) = match &child.spans {
-                Some(spans) => (spans[channel].least[at], spans[channel].greatest[at]),
-                // A leaf's own span; `min` and `max` pass NaN over.
-                None => {
-                    let texel = finest(child, channel, at);
-                    (texel, texel)
-                }
-            };
-            span.least[to] = span.least[to].min(least);
-            span.greatest[to] = span.greatest[to].max(greatest);
+/// The least and greatest finest texels of a page; a leaf's are its own before rounding.
+fn span_of<S: Texel>(tile: &Tile<S>, channel: usize) -> (&[S], &[S]) {
+    match &tile.spans {
+        Some(spans) => (&spans[channel].least, &spans[channel].greatest),
+        None => {
+            let original = tile.original.as_ref().unwrap_or(&tile.planes);
+            (&original[channel], &original[channel])
         }
     }
 }
 
-/// A leaf texel before quantization.
-fn finest(leaf: &Tile, channel: usize, at: usize) -> f32 {
-    leaf.original.as_ref().map_or(leaf.planes[channel][at], |original| original[channel][at])
+fn fold_pairs<S: Texel>([upper, lower]: [&[S]; 2], out: &mut [S], pick: impl Fn(S, S) -> S) {
+    let pairs = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
+    for (out, (&[a, b], &[c, d])) in out.iter_mut().zip(pairs) {
+        *out = pick(pick(a, b), pick(c, d));
+    }
 }
 
-fn mean(valid: impl Iterator<Item = f32>) -> Option<f64> {
-    let (sum, count) =
-        valid.fold((0.0, 0.0), |(sum, count), texel| (sum + f64::from(texel), count + 1.0));
-    (count > 0.0).then_some(sum / count)
-}
+/// The parent texel over the one to four texels of a child at (`row`, `col`), the valid ones.
+fn one_texel<S: Texel>(
+    parent: &mut Tile<S>,
+    to: usize,
+    child: &Tile<S>,
+    (row, col): (usize, usize),
+    quantum: Quantum,
+) {
+    let mut places = [0; 4];
+    let mut count = 0;
+    for (row, col) in [(row, col), (row, col + 1), (row + 1, col), (row + 1, col + 1)] {
+        if row < child.rows && col < child.cols {
+            places[count] = child.at(row, col);
+            count += 1;
+        }
+    }
+    let places = &places[..count];
+    let code_at = |at: usize| child.coverage.as_ref().map_or(u8::MAX, |codes| codes[at]);
+    let mut codes = [0; 4];
+    places.iter().zip(&mut codes).for_each(|(&at, code)| *code = code_at(at));
+    parent.coverage.as_mut().expect("a blank tile has coverage")[to] =
+        mean_coverage(&codes[..count]);
 
-/// The code of the mean light of `codes`, NaN without any.
-fn mean_of_codes(codes: impl Iterator<Item = f32>) -> f32 {
-    let mut common = None;
-    let mut same = true;
-    let light = codes.map(|code| {
-        same &= *common.get_or_insert(code) == code;
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a code")]
-        LIGHT.linear[code as usize]
-    });
-    let (sum, count) = light.fold((0.0, 0.0), |(sum, count), light| (sum + light, count + 1.0));
-    match common {
-        None => f32::NAN,
-        Some(code) if same => code,
-        Some(_) => {
-            let mean: f64 = sum / count;
-            #[expect(clippy::cast_precision_loss, reason = "at most 255")]
-            let code = LIGHT.steps.partition_point(|&step| step < mean) as f32;
-            code
+    for channel in 0..S::CHANNELS {
+        let mut valid = [S::INVALID; 4];
+        let mut valid_count = 0;
+        let (low, high) = span_of(child, channel);
+        let (mut least, mut greatest) = S::NOTHING;
+        for &at in places.iter().filter(|&&at| code_at(at) != 0) {
+            valid[valid_count] = child.planes[channel][at];
+            valid_count += 1;
+            least = if low[at] < least { low[at] } else { least };
+            greatest = if high[at] > greatest { high[at] } else { greatest };
+        }
+        if valid_count > 0 {
+            parent.planes[channel][to] = S::mean(&valid[..valid_count], quantum);
+        }
+        if let Some(spans) = &mut parent.spans {
+            let Span { least: low, greatest: high } = &mut spans[channel];
+            (low[to], high[to]) = (least, greatest);
         }
     }
 }
 
-/// The light of each sRGB code, and the light half-way (in code) between neighboring codes.
-///
-/// # References
-///
-/// IEC 61966-2-1, the sRGB transfer function.
-struct Light {
-    linear: [f64; 256],
-    steps: [f64; 255],
-}
-
-static LIGHT: LazyLock<Light> = LazyLock::new(|| {
-    let linear = |code: f64| {
-        let encoded = code / 255.0;
-        if encoded <= 0.040_45 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
-    };
-    Light {
-        linear: std::array::from_fn(|code| linear(code as f64)),
-        steps: std::array::from_fn(|code| linear(code as f64 + 0.5)),
+/// The mean of one to four codes, rounded to nearest, but full only where all are, and invalid only
+/// where all are.
+#[inline]
+fn mean_coverage(codes: &[u8]) -> u8 {
+    let sum: u32 = codes.iter().map(|&code| u32::from(code)).sum();
+    if sum == 0 {
+        return 0;
     }
-});
+    let count = u32::try_from(codes.len()).expect("at most four");
+    let nearest = (2 * sum + count) / (2 * count);
+    let full = sum == 255 * count;
+    u8::try_from(nearest.clamp(1, if full { 255 } else { 254 })).expect("clamped to codes")
+}
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn colors_are_averaged_in_linear_light() {
-        // Half the light of white is code 188 in sRGB, not 128.
-        assert_eq!(mean_of_codes([0.0, 255.0].into_iter()), 188.0);
-        assert_eq!(mean_of_codes([7.0; 4].into_iter()), 7.0);
-        assert!(mean_of_codes(std::iter::empty()).is_nan());
-    }
-
-    #[test]
-    fn every_code_comes_back_from_its_own_light() {
-        for code in 0..256 {
-            let light = LIGHT.linear[code];
-            assert_eq!(LIGHT.steps.partition_point(|&step| step < light), code);
-        }
+    fn coverage_is_full_or_nothing_only_where_all_is() {
+        assert_eq!(mean_coverage(&[0; 4]), 0);
+        assert_eq!(mean_coverage(&[0, 0, 0, 1]), 1);
+        assert_eq!(mean_coverage(&[255, 255, 255, 254]), 254);
+        assert_eq!(mean_coverage(&[255; 3]), 255);
+        assert_eq!(mean_coverage(&[1, 2]), 2);
     }
 }

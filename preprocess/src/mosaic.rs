@@ -3,6 +3,7 @@
 //! Several rasters make a mosaic if they share a projection and a pixel size and lie a whole
 //! number of pixels apart. Where they overlap the one given last shows, where it has data.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use areoid_formats::address::PageAddress;
@@ -15,7 +16,8 @@ use crate::build::Leaves;
 use crate::raster::{
     Block, BlockCache, Raster, RasterError, RasterInfo, colors_into, heights_into,
 };
-use crate::tile::{Raw, Tile};
+use crate::texel::Planes;
+use crate::tile::Raw;
 
 /// How far a raster may lie off the common grid, in pixels.
 const ALIGNMENT_PX: f64 = 1e-3;
@@ -238,64 +240,100 @@ fn whole(pixels: f64) -> Option<u32> {
 impl Leaves for Mosaic {
     fn read(&self, page: PageAddress) -> Result<Option<Raw>, RasterError> {
         let pyramid = self.grid.pyramid();
-        let (rows, cols) = pyramid.interior_size(page);
-        let (top, left) = (page.row * pyramid.interior(), page.col * pyramid.interior());
-        let count = rows as usize * cols as usize;
-        let mut raw = Raw {
-            rows: rows as usize,
-            cols: cols as usize,
-            planes: Tile::blank(count, self.kind.channels()),
-            alpha: Some(vec![0; count]),
+        let side = pyramid.page_side() as usize;
+        let count = side * side;
+        let planes = match self.kind {
+            Kind::Height => Planes::Height(vec![f32::NAN; count]),
+            Kind::Color | Kind::Normal => Planes::Color([(); 3].map(|()| vec![0; count])),
         };
+        let mut raw = Raw { planes, alpha: Some(vec![0; count]) };
         for part in &self.parts {
-            part.read_into(&mut raw, (top, left), self.kind)?;
+            part.read_into(&mut raw, pyramid, page)?;
         }
+        let (rows, cols) = pyramid.interior_size(page);
         let alpha = raw.alpha.take().unwrap_or_default();
-        if alpha.iter().all(|&alpha| alpha == 0) {
+        let all = |test: fn(&u8) -> bool| {
+            (1..=rows as usize).all(|row| alpha[row * side + 1..][..cols as usize].iter().all(test))
+        };
+        if all(|&alpha| alpha == 0) {
             return Ok(None);
         }
-        if alpha.iter().any(|&alpha| alpha != u8::MAX) {
+        if !all(|&alpha| alpha == u8::MAX) {
             raw.alpha = Some(alpha);
         }
         Ok(Some(raw))
     }
+
+    fn skip(&self, page: PageAddress) {
+        for part in &self.parts {
+            let blocks = part
+                .overlap(self.grid.pyramid(), page)
+                .map(|(rows, cols)| part.blocks_of(&rows, &cols));
+            for (block_col, block_row) in blocks.into_iter().flatten() {
+                part.blocks.release(block_col, block_row);
+            }
+        }
+    }
+
+    fn may_have_holes(&self) -> bool {
+        let extent = self.grid.pyramid().extent();
+        let whole = |part: &Part| {
+            let info = part.raster.info();
+            (part.col, part.row, part.width, part.height) == (0, 0, extent.width, extent.height)
+                && info.nodata.is_none()
+                && !info.has_alpha
+                && !info.sample.is_float()
+        };
+        !self.parts.iter().any(whole)
+    }
 }
 
 impl Part {
-    /// Lays this raster's pixels over the leaf whose first texel is at (`top`, `left`).
-    fn read_into(
-        &self,
-        raw: &mut Raw,
-        (top, left): (u32, u32),
-        kind: Kind,
-    ) -> Result<(), RasterError> {
-        // The overlap in the raster's own pixels.
-        let overlap = |leaf: u32, length: usize, part: u32, used: u32| {
-            let length = u32::try_from(length).expect("a page's side");
+    /// The rows and columns of this raster that lie in a leaf, `None` if none do.
+    fn overlap(&self, pyramid: &Pyramid, page: PageAddress) -> Option<(Range<u32>, Range<u32>)> {
+        let interior = pyramid.interior();
+        let (rows, cols) = pyramid.interior_size(page);
+        let overlap = |leaf: u32, length: u32, part: u32, used: u32| {
             let start = leaf.saturating_sub(part);
             let end = (leaf + length).saturating_sub(part).min(used);
             start..end.max(start)
         };
-        let rows = overlap(top, raw.rows, self.row, self.height);
-        let cols = overlap(left, raw.cols, self.col, self.width);
-        if rows.is_empty() || cols.is_empty() {
-            return Ok(());
-        }
+        let rows = overlap(page.row * interior, rows, self.row, self.height);
+        let cols = overlap(page.col * interior, cols, self.col, self.width);
+        (!rows.is_empty() && !cols.is_empty()).then_some((rows, cols))
+    }
+
+    /// Columns and rows of the blocks that have these rows and columns of the raster.
+    fn blocks_of(&self, rows: &Range<u32>, cols: &Range<u32>) -> Vec<(u32, u32)> {
         let info = self.raster.info();
-        for block_row in rows.start / info.block_height..=(rows.end - 1) / info.block_height {
-            for block_col in cols.start / info.block_width..=(cols.end - 1) / info.block_width {
-                let block = self.blocks.get(block_col, block_row)?;
-                let (first_row, first_col) = (block.row.max(rows.start), block.col.max(cols.start));
-                let cut = block.cut(
-                    first_col..(block.col + block.width).min(cols.end),
-                    first_row..(block.row + block.height).min(rows.end),
-                );
-                let to_row = (self.row + first_row - top) as usize;
-                let to_col = (self.col + first_col - left) as usize;
-                lay(raw, &cut, info, kind, (to_row, to_col))?;
-                drop(block);
-                self.blocks.release(block_col, block_row);
-            }
+        let down = rows.start / info.block_height..=(rows.end - 1) / info.block_height;
+        let across = cols.start / info.block_width..=(cols.end - 1) / info.block_width;
+        down.flat_map(|row| across.clone().map(move |col| (col, row))).collect()
+    }
+
+    /// Lays this raster's pixels over a leaf.
+    fn read_into(
+        &self,
+        raw: &mut Raw,
+        pyramid: &Pyramid,
+        page: PageAddress,
+    ) -> Result<(), RasterError> {
+        let Some((rows, cols)) = self.overlap(pyramid, page) else { return Ok(()) };
+        let interior = pyramid.interior();
+        let side = pyramid.page_side() as usize;
+        let info = self.raster.info();
+        for (block_col, block_row) in self.blocks_of(&rows, &cols) {
+            let block = self.blocks.get(block_col, block_row)?;
+            let (first_row, first_col) = (block.row.max(rows.start), block.col.max(cols.start));
+            let cut = block.cut(
+                first_col..(block.col + block.width).min(cols.end),
+                first_row..(block.row + block.height).min(rows.end),
+            );
+            let to_row = (self.row + first_row - page.row * interior + Pyramid::BORDER) as usize;
+            let to_col = (self.col + first_col - page.col * interior + Pyramid::BORDER) as usize;
+            lay(raw, side, &cut, info, (to_row, to_col))?;
+            drop(block);
+            self.blocks.release(block_col, block_row);
         }
         Ok(())
     }
@@ -304,33 +342,33 @@ impl Part {
 /// Lays the valid pixels of `block` over a leaf, its first one at (`row`, `col`).
 fn lay(
     raw: &mut Raw,
+    side: usize,
     block: &Block,
     info: &RasterInfo,
-    kind: Kind,
     (row, col): (usize, usize),
 ) -> Result<(), RasterError> {
     let (width, height) = (block.width as usize, block.height as usize);
     let alpha = raw.alpha.as_mut().expect("it is there while the leaf is read");
-    let at = |pixel: usize| (row + pixel / width) * raw.cols + col + pixel % width;
-    match kind {
-        Kind::Height => {
+    let at = |pixel: usize| (row + pixel / width) * side + col + pixel % width;
+    match &mut raw.planes {
+        Planes::Height(plane) => {
             let mut heights = vec![0.0; width * height];
             heights_into(block, info, &mut heights);
             for (pixel, height) in heights.into_iter().enumerate() {
                 if !height.is_nan() {
-                    raw.planes[0][at(pixel)] = height;
+                    plane[at(pixel)] = height;
                     alpha[at(pixel)] = u8::MAX;
                 }
             }
         }
-        Kind::Color | Kind::Normal => {
+        Planes::Color(planes) => {
             let mut colors = vec![[0; 3]; width * height];
             let mut opacity = vec![0; width * height];
             colors_into(block, info, &mut colors, &mut opacity)?;
             for (pixel, (color, opacity)) in colors.into_iter().zip(opacity).enumerate() {
                 if opacity != 0 {
-                    for (plane, code) in raw.planes.iter_mut().zip(color) {
-                        plane[at(pixel)] = f32::from(code);
+                    for (plane, code) in planes.iter_mut().zip(color) {
+                        plane[at(pixel)] = code;
                     }
                     alpha[at(pixel)] = opacity;
                 }

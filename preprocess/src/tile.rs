@@ -1,87 +1,156 @@
-//! Pages under construction: interiors, and windows cut from them.
+//! A page under construction: its interior first, its border when its neighbors are there.
 //!
 //! ```text
-//!   Raw      a leaf as read: texels, and how far each is valid
-//!   Tile     an interior whose coverage is settled: what its neighbors and its parent look at
-//!   Window   a page with its border, cut from the tiles it draws on
+//!   Raw     a leaf as read: texels, and how far each is valid
+//!   Tile    a page whose coverage is settled: what its neighbors' borders and its parent look at
+//!   Border  what shows outside the interior, copied from the neighbors
 //! ```
 //!
-//! Texels are f32 planes, one a channel, also for colors, whose codes f32 holds exactly: one code
-//! path serves all kinds, and its loops vectorize.
+//! All have the layout of the finished page, `side * side` texels row-major, so that a page is read,
+//! averaged, bordered and encoded where it lies. A page cut by the outline has its border right
+//! after the last texel and the extension beyond.
 
-use std::collections::HashMap;
-use std::sync::Arc;
+use std::ops::Range;
 
 use areoid_formats::address::PageAddress;
 use areoid_formats::bound::Span;
 use areoid_formats::codec::Quantum;
-use areoid_formats::page::Kind;
+use areoid_formats::page::LEAST_VALID_WEIGHT;
 use areoid_formats::pyramid::Pyramid;
 
-/// A leaf's interior as read, cut at the outline.
+use crate::texel::{Planes, Texel};
+
+/// A leaf as read. Outside the interior nothing is said.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Raw {
-    /// Rows inside the outline.
-    pub rows: usize,
-    /// Columns inside the outline.
-    pub cols: usize,
-    /// One plane a channel, row-major; NaN where invalid.
-    pub planes: Vec<Vec<f32>>,
-    /// Alpha beside each texel, or `None` where all are opaque and valid. 0 is invalid.
+    /// Texels; NaN or 0 where invalid.
+    pub planes: Planes,
+    /// Alpha beside each texel, or `None` where all of the interior is opaque and valid. 0 is
+    /// invalid.
     pub alpha: Option<Vec<u8>>,
 }
 
-/// An interior whose coverage is settled, cut at the outline. At least one texel is valid.
+/// A page whose coverage is settled.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Tile {
-    /// Rows inside the outline.
-    pub rows: usize,
-    /// Columns inside the outline.
-    pub cols: usize,
-    /// Stored texels, one plane a channel; NaN where invalid.
-    pub planes: Vec<Vec<f32>>,
-    /// The texels before they were rounded to the step, where that changed any (leaves only).
-    pub original: Option<Vec<Vec<f32>>>,
-    /// Coverage beside each texel, or `None` where all are fully covered.
-    pub coverage: Option<Vec<u8>>,
-    /// The finest texels under each texel, a plane a channel; `None` for leaves.
-    pub spans: Option<Vec<Span>>,
-}
-
-/// A page with its border, `side * side` texels.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Window {
-    /// Texels along a side.
+pub struct Tile<S> {
+    /// Texels along a side, border included.
     pub side: usize,
-    /// Stored texels, one plane a channel; NaN where invalid.
-    pub planes: Vec<Vec<f32>>,
-    /// See [`Tile::original`].
-    pub original: Option<Vec<Vec<f32>>>,
+    /// Rows of the interior inside the outline.
+    pub rows: usize,
+    /// Columns of the interior inside the outline.
+    pub cols: usize,
+    /// Stored texels, one plane a channel; [`Texel::INVALID`] where invalid.
+    pub planes: Vec<Vec<S>>,
+    /// The texels before they were rounded to the step, where that changed any (leaves only).
+    pub original: Option<Vec<Vec<S>>>,
     /// Coverage beside each texel, or `None` where all are fully covered.
     pub coverage: Option<Vec<u8>>,
-    /// See [`Tile::spans`]; only where a texel of the window is invalid.
-    pub spans: Option<Vec<Span>>,
+    /// The finest texels under each texel, a plane a channel; `None` for leaves, and where the
+    /// source cannot have holes.
+    pub spans: Option<Vec<Span<S>>>,
 }
 
-/// Tiles by page; a page without a valid texel is present as `None`.
-pub type Tiles = HashMap<PageAddress, Option<Arc<Tile>>>;
+impl<S: Texel> Tile<S> {
+    /// A page without a valid texel.
+    #[must_use]
+    pub fn blank(side: usize, (rows, cols): (usize, usize)) -> Self {
+        let planes = vec![vec![S::INVALID; side * side]; S::CHANNELS];
+        let coverage = Some(vec![0; side * side]);
+        Self { side, rows, cols, planes, original: None, coverage, spans: None }
+    }
 
-impl Tile {
-    /// A planeful of invalid texels.
-    pub(crate) fn blank(count: usize, channels: usize) -> Vec<Vec<f32>> {
-        vec![vec![f32::NAN; count]; channels]
+    /// Where a texel of the interior lies.
+    #[must_use]
+    pub fn at(&self, row: usize, col: usize) -> usize {
+        (row + 1) * self.side + col + 1
+    }
+
+    /// Where the texels of a row of the interior lie.
+    #[must_use]
+    pub fn row(&self, row: usize) -> Range<usize> {
+        self.at(row, 0)..self.at(row, self.cols)
+    }
+
+    /// Puts the border around the interior. The planes that only one of the two has are made.
+    pub fn close(&mut self, border: &Border<S>) {
+        let (side, rows, cols) = (self.side, self.rows, self.cols);
+        let count = side * side;
+        let place = |plane: &mut [S], from: &[S]| scatter(plane, from, (side, rows, cols));
+        if let Some(from) = &border.original {
+            let original = self.original.get_or_insert_with(|| self.planes.clone());
+            original.iter_mut().zip(from).for_each(|(plane, from)| place(plane, from));
+        }
+        for (plane, from) in self.planes.iter_mut().zip(&border.planes) {
+            place(plane, from);
+        }
+        if let Some(from) = &border.spans {
+            let spans = self.spans.get_or_insert_with(|| vec![nothing(count); S::CHANNELS]);
+            for (span, from) in spans.iter_mut().zip(from) {
+                place(&mut span.least, &from.least);
+                place(&mut span.greatest, &from.greatest);
+            }
+        }
+        if self.coverage.is_some() || border.coverage.iter().any(|&code| code != u8::MAX) {
+            let coverage = self.coverage.get_or_insert_with(|| vec![u8::MAX; count]);
+            scatter(coverage, &border.coverage, (side, rows, cols));
+        }
     }
 }
 
-/// Where the texels of a window come from: runs of consecutive texels of one tile.
+/// A span with no finest texel anywhere.
+pub(crate) fn nothing<S: Texel>(count: usize) -> Span<S> {
+    let (least, greatest) = S::NOTHING;
+    Span { least: vec![least; count], greatest: vec![greatest; count] }
+}
+
+/// The parts of a page's rows outside its interior, from the top left.
+fn outside(
+    (side, rows, cols): (usize, usize, usize),
+) -> impl Iterator<Item = (usize, Range<usize>)> {
+    (0..side).flat_map(move |row| {
+        let inner = (1..=rows).contains(&row);
+        let parts = if inner { [0..1, cols + 1..side] } else { [0..side, 0..0] };
+        parts.map(|part| (row, part))
+    })
+}
+
+fn scatter<T: Copy>(plane: &mut [T], from: &[T], shape: (usize, usize, usize)) {
+    let mut rest = from;
+    for (row, part) in outside(shape) {
+        let (here, behind) = rest.split_at(part.len());
+        plane[row * shape.0..][part].copy_from_slice(here);
+        rest = behind;
+    }
+}
+
+/// What shows outside a page's interior, in the order of [`outside`].
+#[derive(Debug)]
+pub struct Border<S> {
+    planes: Vec<Vec<S>>,
+    original: Option<Vec<Vec<S>>>,
+    coverage: Vec<u8>,
+    spans: Option<Vec<Span<S>>>,
+}
+
+/// Where the texels of a border come from: runs of consecutive texels of one tile.
 struct Run {
     /// First column of the window.
     to: usize,
     /// Column of tiles.
     tile: u32,
-    /// First column in the tile.
+    /// First column in the tile's interior.
     from: usize,
     length: usize,
+}
+
+impl Run {
+    /// The part of the run in columns `cols` of the window.
+    fn within(&self, cols: &Range<usize>) -> Option<Self> {
+        let start = self.to.max(cols.start);
+        let end = (self.to + self.length).min(cols.end);
+        let from = self.from + (start - self.to);
+        (start < end).then(|| Self { to: start, tile: self.tile, from, length: end - start })
+    }
 }
 
 /// The columns of a window as runs.
@@ -100,170 +169,136 @@ fn runs(pyramid: &Pyramid, page: PageAddress, turned: bool) -> Vec<Run> {
     runs
 }
 
-/// Cuts the window of `page` out of `tiles`; `None` if it has no valid texel.
-///
-/// # Panics
-///
-/// If a tile that the window draws on is not among `tiles`: the schedule sees to it.
-#[must_use]
-pub fn window(
-    pyramid: &Pyramid,
-    page: PageAddress,
-    tiles: &Tiles,
-    kind: Kind,
-    quantum: Quantum,
-) -> Option<Window> {
-    let side = pyramid.page_side() as usize;
-    let interior = pyramid.interior();
-    let sources: Vec<_> = pyramid
-        .sources(page, Pyramid::BORDER)
-        .into_iter()
-        .map(|source| tiles.get(&source).expect("what a window draws on is settled"))
-        .collect();
-    let present = || sources.iter().filter_map(|tile| tile.as_deref());
-    present().next()?;
+impl<S: Texel> Border<S> {
+    /// The border of `page`, from what `tile_of` says of it and its neighbors: `None` for one
+    /// without a valid texel.
+    #[must_use]
+    pub fn around<'a>(
+        pyramid: &Pyramid,
+        page: PageAddress,
+        tile_of: impl Fn(PageAddress) -> Option<&'a Tile<S>>,
+        quantum: Quantum,
+    ) -> Self {
+        let side = pyramid.page_side() as usize;
+        let interior = pyramid.interior();
+        let (rows, cols) = pyramid.interior_size(page);
+        let shape = (side, rows as usize, cols as usize);
+        let sources = pyramid.sources(page, Pyramid::BORDER);
+        let present = || sources.iter().filter_map(|&source| tile_of(source));
+        let rounded = present().any(|tile| tile.original.is_some());
+        let spanned = present().any(|tile| tile.spans.is_some());
+        let empty = || vec![Vec::new(); S::CHANNELS];
+        let mut border = Self {
+            planes: empty(),
+            original: rounded.then(empty),
+            coverage: Vec::new(),
+            spans: spanned.then(|| vec![nothing(0); S::CHANNELS]),
+        };
 
-    let channels = kind.channels();
-    let lossy = present().any(|tile| tile.original.is_some());
-    let mut window = Window {
-        side,
-        planes: Tile::blank(side * side, channels),
-        original: lossy.then(|| Tile::blank(side * side, channels)),
-        coverage: Some(vec![0; side * side]),
-        spans: None,
-    };
-    let finest = page.level == pyramid.finest();
-    let mut spans = (!finest).then(|| vec![nothing(side * side); channels]);
-
-    let (straight, turned) = (runs(pyramid, page, false), runs(pyramid, page, true));
-    let top = i64::from(page.row * interior) - i64::from(Pyramid::BORDER);
-    for to_row in 0..side {
-        let source = pyramid.extended_row(page.level, top + to_row as i64);
-        let runs = if source.turned { &turned } else { &straight };
-        let blends = source.weight != 0.0;
-        for run in runs {
-            let tile_at = |row: u32| {
-                let address = PageAddress::new(page.level, row / interior, run.tile);
-                let tile = tiles.get(&address).expect("what a window draws on is settled");
-                (tile.as_deref(), (row % interior) as usize)
+        let (straight, turned) = (runs(pyramid, page, false), runs(pyramid, page, true));
+        let top = i64::from(page.row * interior) - i64::from(Pyramid::BORDER);
+        for (row, part) in outside(shape) {
+            let source = pyramid.extended_row(page.level, top + row as i64);
+            let runs = if source.turned { &turned } else { &straight };
+            let tile_at = |row: u32, run: &Run| {
+                let tile = tile_of(PageAddress::new(page.level, row / interior, run.tile));
+                (tile, (row % interior) as usize)
             };
-            let to = to_row * side + run.to;
-            let (tile, row) = tile_at(source.row);
-            if blends {
-                let (next, next_row) = tile_at(source.next);
-                let taps = [(tile, row, 1.0 - source.weight), (next, next_row, source.weight)];
-                blend_run(&mut window, &mut spans, to, run, taps, quantum);
-            } else if let Some(tile) = tile {
-                copy_run(&mut window, &mut spans, to, run, tile, row);
-            }
-        }
-    }
-
-    let coverage = window.coverage.take().expect("it was made above");
-    if coverage.iter().all(|&code| code == 0) {
-        return None;
-    }
-    if coverage.contains(&0) {
-        window.spans = spans;
-    }
-    if coverage.iter().any(|&code| code != u8::MAX) {
-        window.coverage = Some(coverage);
-    }
-    Some(window)
-}
-
-/// A span with no finest texel anywhere.
-pub(crate) fn nothing(count: usize) -> Span {
-    Span { least: vec![f32::INFINITY; count], greatest: vec![f32::NEG_INFINITY; count] }
-}
-
-fn copy_run(
-    window: &mut Window,
-    spans: &mut Option<Vec<Span>>,
-    to: usize,
-    run: &Run,
-    tile: &Tile,
-    row: usize,
-) {
-    let from = row * tile.cols + run.from;
-    let (to, from) = (to..to + run.length, from..from + run.length);
-    for (channel, plane) in tile.planes.iter().enumerate() {
-        window.planes[channel][to.clone()].copy_from_slice(&plane[from.clone()]);
-        if let Some(original) = &mut window.original {
-            let plane = tile.original.as_ref().map_or(plane, |original| &original[channel]);
-            original[channel][to.clone()].copy_from_slice(&plane[from.clone()]);
-        }
-        if let (Some(spans), Some(tile_spans)) = (spans.as_mut(), &tile.spans) {
-            let (span, source) = (&mut spans[channel], &tile_spans[channel]);
-            span.least[to.clone()].copy_from_slice(&source.least[from.clone()]);
-            span.greatest[to.clone()].copy_from_slice(&source.greatest[from.clone()]);
-        }
-    }
-    let coverage = window.coverage.as_mut().expect("it is there while the window is cut");
-    match &tile.coverage {
-        Some(codes) => coverage[to].copy_from_slice(&codes[from]),
-        None => coverage[to].fill(u8::MAX),
-    }
-}
-
-/// Two rows of a post-registered grid's coarser level, mirrored over a pole between texels: their
-/// weighted mean, on the step.
-fn blend_run(
-    window: &mut Window,
-    spans: &mut Option<Vec<Span>>,
-    to: usize,
-    run: &Run,
-    taps: [(Option<&Tile>, usize, f64); 2],
-    quantum: Quantum,
-) {
-    for place in 0..run.length {
-        let to = to + place;
-        let present = taps.iter().filter_map(|&(tile, row, weight)| {
-            let tile = tile?;
-            let from = row * tile.cols + run.from + place;
-            let code = tile.coverage.as_ref().map_or(u8::MAX, |codes| codes[from]);
-            (code != 0).then_some((tile, from, code, weight))
-        });
-        let total: f64 = present.clone().map(|(.., weight)| weight).sum();
-        if total < areoid_formats::page::LEAST_VALID_WEIGHT {
-            continue;
-        }
-        for channel in 0..window.planes.len() {
-            let sum: f64 = present
-                .clone()
-                .map(|(tile, from, _, weight)| weight * f64::from(tile.planes[channel][from]))
-                .sum();
-            let texel = on_step(sum / total, quantum, window.planes.len());
-            window.planes[channel][to] = texel;
-            if let Some(original) = &mut window.original {
-                original[channel][to] = texel;
-            }
-            for (tile, from, ..) in present.clone() {
-                if let (Some(spans), Some(tile_spans)) = (spans.as_mut(), &tile.spans) {
-                    let (span, source) = (&mut spans[channel], &tile_spans[channel]);
-                    span.least[to] = span.least[to].min(source.least[from]);
-                    span.greatest[to] = span.greatest[to].max(source.greatest[from]);
+            for run in runs.iter().filter_map(|run| run.within(&part)) {
+                let (tile, row) = tile_at(source.row, &run);
+                if source.weight != 0.0 {
+                    let (next, next_row) = tile_at(source.next, &run);
+                    let taps = [(tile, row, 1.0 - source.weight), (next, next_row, source.weight)];
+                    border.blend(&run, taps, quantum);
+                } else {
+                    border.copy(&run, tile, row);
                 }
             }
         }
-        let code: f64 = present.map(|(.., code, weight)| weight * f64::from(code)).sum();
-        let coverage = window.coverage.as_mut().expect("it is there while the window is cut");
-        #[expect(clippy::cast_possible_truncation, reason = "clamped to codes")]
-        #[expect(clippy::cast_sign_loss, reason = "clamped to codes")]
-        {
-            coverage[to] = code.round_ties_even().clamp(1.0, 255.0) as u8;
+        border
+    }
+
+    /// Whether no texel of it is valid.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.coverage.iter().all(|&code| code == 0)
+    }
+
+    fn copy(&mut self, run: &Run, tile: Option<&Tile<S>>, row: usize) {
+        let Some(tile) = tile else {
+            (0..run.length).for_each(|_| self.invalid());
+            return;
+        };
+        let from = tile.at(row, run.from)..tile.at(row, run.from + run.length);
+        for (channel, plane) in tile.planes.iter().enumerate() {
+            self.planes[channel].extend_from_slice(&plane[from.clone()]);
+            if let Some(original) = &mut self.original {
+                let plane = tile.original.as_ref().map_or(plane, |original| &original[channel]);
+                original[channel].extend_from_slice(&plane[from.clone()]);
+            }
+            if let (Some(spans), Some(tile_spans)) = (&mut self.spans, &tile.spans) {
+                let (span, source) = (&mut spans[channel], &tile_spans[channel]);
+                span.least.extend_from_slice(&source.least[from.clone()]);
+                span.greatest.extend_from_slice(&source.greatest[from.clone()]);
+            }
+        }
+        match &tile.coverage {
+            Some(codes) => self.coverage.extend_from_slice(&codes[from]),
+            None => self.coverage.resize(self.coverage.len() + run.length, u8::MAX),
         }
     }
-}
 
-/// `value` as it is stored: on the step for heights, a whole code for colors.
-pub(crate) fn on_step(value: f64, quantum: Quantum, channels: usize) -> f32 {
-    if channels == 1 {
-        // A mean lies between texels that are on the step.
-        quantum.round(value).expect("a mean of stored texels can be stored")
-    } else {
-        #[expect(clippy::cast_possible_truncation, reason = "codes are 0 to 255")]
-        let code = value.round_ties_even() as f32;
-        code
+    fn invalid(&mut self) {
+        let planes = self.planes.iter_mut().chain(self.original.iter_mut().flatten());
+        planes.for_each(|plane| plane.push(S::INVALID));
+        for span in self.spans.iter_mut().flatten() {
+            span.least.push(S::NOTHING.0);
+            span.greatest.push(S::NOTHING.1);
+        }
+        self.coverage.push(0);
+    }
+
+    /// Two rows of a post-registered grid's coarser level, mirrored over a pole between texels:
+    /// their weighted mean, on the step.
+    fn blend(&mut self, run: &Run, taps: [(Option<&Tile<S>>, usize, f64); 2], quantum: Quantum) {
+        for place in 0..run.length {
+            let present = taps.iter().filter_map(|&(tile, row, weight)| {
+                let tile = tile?;
+                let from = tile.at(row, run.from + place);
+                let code = tile.coverage.as_ref().map_or(u8::MAX, |codes| codes[from]);
+                (code != 0).then_some((tile, from, code, weight))
+            });
+            let total: f64 = present.clone().map(|(.., weight)| weight).sum();
+            if total < LEAST_VALID_WEIGHT {
+                self.invalid();
+                continue;
+            }
+            for channel in 0..S::CHANNELS {
+                let texels = present
+                    .clone()
+                    .map(|(tile, from, _, weight)| weight * tile.planes[channel][from].into());
+                let texel = S::stored(texels.sum::<f64>() / total, quantum);
+                self.planes[channel].push(texel);
+                if let Some(original) = &mut self.original {
+                    original[channel].push(texel);
+                }
+                if let Some(spans) = &mut self.spans {
+                    let (mut least, mut greatest) = S::NOTHING;
+                    for (tile, from, ..) in present.clone() {
+                        if let Some(source) = tile.spans.as_ref().map(|spans| &spans[channel]) {
+                            let (low, high) = (source.least[from], source.greatest[from]);
+                            least = if low < least { low } else { least };
+                            greatest = if high > greatest { high } else { greatest };
+                        }
+                    }
+                    spans[channel].least.push(least);
+                    spans[channel].greatest.push(greatest);
+                }
+            }
+            let code: f64 = present.map(|(.., code, weight)| weight * f64::from(code)).sum();
+            #[expect(clippy::cast_possible_truncation, reason = "clamped to codes")]
+            #[expect(clippy::cast_sign_loss, reason = "clamped to codes")]
+            self.coverage.push(code.round_ties_even().clamp(1.0, 255.0) as u8);
+        }
     }
 }

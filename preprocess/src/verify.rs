@@ -21,7 +21,8 @@ use rayon::prelude::*;
 
 use crate::build::Leaves;
 use crate::raster::RasterError;
-use crate::tile::{self, Tile, Tiles};
+use crate::texel::{Planes, Texel};
+use crate::tile::{Border, Raw, Tile};
 
 /// What a verification found.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -206,22 +207,40 @@ fn matches_extension(
     address: PageAddress,
     page: &Page,
 ) -> Result<bool, ArchiveError> {
-    let description = reader.archive.description();
-    let pyramid = reader.pyramid();
-    let mut tiles = Tiles::new();
-    for source in pyramid.sources(address, Pyramid::BORDER) {
-        let damaged = reader.entries.contains_key(&source);
-        let tile = match reader.page(source)? {
-            Some(page) => interior(&page, pyramid.interior_size(source)).map(Arc::new),
-            // Nothing can be said of a page beside a damaged one.
-            None if damaged => return Ok(true),
-            None => None,
-        };
-        tiles.insert(source, tile);
+    match page.texels() {
+        Texels::Height(_) => matches_extension_of::<f32>(reader, address, page),
+        Texels::Color(_) => matches_extension_of::<u8>(reader, address, page),
     }
-    let window = tile::window(pyramid, address, &tiles, description.kind, description.quantum);
-    let Some(window) = window else { return Ok(false) };
-    if window.coverage.as_deref() != page.coverage() {
+}
+
+fn matches_extension_of<S: Texel>(
+    reader: &Reader<'_>,
+    address: PageAddress,
+    page: &Page,
+) -> Result<bool, ArchiveError> {
+    let pyramid = reader.pyramid();
+    let mut tiles: HashMap<PageAddress, Tile<S>> = HashMap::new();
+    for source in pyramid.sources(address, Pyramid::BORDER) {
+        match reader.page(source)? {
+            Some(page) => {
+                drop(tiles.insert(source, interior(&page, pyramid.interior_size(source))))
+            }
+            // Nothing can be said of a page beside a damaged one.
+            None if reader.entries.contains_key(&source) => return Ok(true),
+            None => {}
+        }
+    }
+    let quantum = reader.archive.description().quantum;
+    let border = Border::around(pyramid, address, |source| tiles.get(&source), quantum);
+    let mut cut = interior::<S>(page, pyramid.interior_size(address));
+    cut.close(&border);
+    let all =
+        |code: u8| cut.coverage.as_ref().is_some_and(|codes| codes.iter().all(|&c| c == code));
+    if all(0) {
+        return Ok(false);
+    }
+    let coverage = if all(u8::MAX) { None } else { cut.coverage.as_deref() };
+    if coverage != page.coverage() {
         return Ok(false);
     }
     Ok((0..page.side() * page.side()).all(|at| {
@@ -229,31 +248,33 @@ fn matches_extension(
             return true;
         }
         let stored = texel(page, at);
-        stored.iter().zip(&window.planes).all(|(t, plane)| t.to_bits() == plane[at].to_bits())
+        stored.iter().zip(&cut.planes).all(|(&t, plane)| f64::from(t) == plane[at].into())
     }))
 }
 
-/// The interior of a page inside the outline; `None` if no texel of it is valid.
-fn interior(page: &Page, (rows, cols): (u32, u32)) -> Option<Tile> {
-    let (rows, cols) = (rows as usize, cols as usize);
-    let places =
-        move || (1..=rows).flat_map(move |row| (1..=cols).map(move |col| row * page.side() + col));
-    let coverage: Vec<u8> =
-        places().map(|at| page.coverage().map_or(u8::MAX, |coverage| coverage[at])).collect();
-    if coverage.iter().all(|&code| code == 0) {
-        return None;
+/// The interior of a page inside the outline, the border left blank.
+fn interior<S: Texel>(page: &Page, (rows, cols): (u32, u32)) -> Tile<S> {
+    let planes = S::channels(match page.texels() {
+        Texels::Height(heights) => Planes::Height(heights.clone()),
+        Texels::Color(colors) => {
+            Planes::Color([0, 1, 2].map(|channel| colors.iter().map(|c| c[channel]).collect()))
+        }
+    });
+    let blank = Tile::<S>::blank(page.side(), (rows as usize, cols as usize));
+    let mut tile = Tile { planes: blank.planes.clone(), ..blank };
+    let mut codes = vec![0; page.side() * page.side()];
+    for row in 0..tile.rows {
+        let row = tile.row(row);
+        for (to, from) in tile.planes.iter_mut().zip(&planes) {
+            to[row.clone()].copy_from_slice(&from[row.clone()]);
+        }
+        match page.coverage() {
+            Some(coverage) => codes[row.clone()].copy_from_slice(&coverage[row]),
+            None => codes[row].fill(u8::MAX),
+        }
     }
-    let channels = texel(page, 0).len();
-    let planes = (0..channels)
-        .map(|channel| {
-            let texels = places().zip(&coverage);
-            let valid = |(at, &code)| if code == 0 { f32::NAN } else { texel(page, at)[channel] };
-            texels.map(valid).collect()
-        })
-        .collect();
-    let full = coverage.iter().all(|&code| code == u8::MAX);
-    let coverage = (!full).then_some(coverage);
-    Some(Tile { rows, cols, planes, original: None, coverage, spans: None })
+    tile.coverage = Some(codes);
+    tile
 }
 
 /// A leaf's ancestors, itself included, that are there.
@@ -425,12 +446,15 @@ fn measure_leaf(
         return Ok(vec![(leaf, errors)]);
     };
     let pyramid = reader.pyramid();
+    let side = pyramid.page_side() as usize;
+    let (rows, cols) = pyramid.interior_size(leaf);
+    let (rows, cols) = (rows as usize, cols as usize);
     let mut found = Vec::new();
     for (address, page) in ancestors(reader, leaf)? {
         let placed = Placed::new(pyramid, leaf, address);
         let mut errors = Errors::default();
-        for row in 0..raw.rows {
-            for col in 0..raw.cols {
+        for row in 0..rows {
+            for col in 0..cols {
                 let (x, y) = (col as f64 + 0.5, row as f64 + 0.5);
                 let whole = |page: &Page, (x, y)| {
                     page.reconstruct(x, y).filter(|found| found.valid_weight >= 1.0)
@@ -440,12 +464,7 @@ fn measure_leaf(
                 else {
                     continue;
                 };
-                let at = row * raw.cols + col;
-                let pairs = raw.planes.iter().zip(here.value);
-                let error = pairs.map(|(plane, value)| (f64::from(plane[at]) - value).abs());
-                // A sample without a value that the page has one for is an infinite error.
-                let error = error
-                    .fold(0.0, |sum, e| if e.is_nan() { f64::INFINITY } else { f64::max(sum, e) });
+                let error = error_at(&raw, (row + 1) * side + col + 1, here.value);
                 errors.largest = errors.largest.max(error);
                 errors.squares += error * error;
                 errors.count += 1;
@@ -454,4 +473,20 @@ fn measure_leaf(
         found.push((address, errors));
     }
     Ok(found)
+}
+
+/// How far `value` is from a sample, the farthest channel. A sample that is no data where the page
+/// has a value is an infinite error.
+fn error_at(raw: &Raw, at: usize, value: [f64; 3]) -> f64 {
+    if raw.alpha.as_ref().is_some_and(|alpha| alpha[at] == 0) {
+        return f64::INFINITY;
+    }
+    match &raw.planes {
+        Planes::Height(plane) => (f64::from(plane[at]) - value[0]).abs(),
+        Planes::Color(planes) => {
+            let errors =
+                planes.iter().zip(value).map(|(plane, v)| (f64::from(plane[at]) - v).abs());
+            errors.fold(0.0, f64::max)
+        }
+    }
 }

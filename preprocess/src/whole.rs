@@ -1,61 +1,73 @@
-//! A page from its window: bounds, figures and payload.
+//! A finished page: bounds, figures and payload.
 
-use std::sync::Arc;
+use std::cell::RefCell;
 
-use areoid_formats::address::{Level, PageAddress};
-use areoid_formats::archive::{ConstantTexel, Description, PageEntry, Payload};
+use areoid_formats::address::PageAddress;
+use areoid_formats::archive::{Description, PageEntry, Payload};
 use areoid_formats::bound::{self, Cells, Child, Span};
-use areoid_formats::codec::{self, EncodeError};
-use areoid_formats::page::Kind;
+use areoid_formats::codec::{EncodeError, Scratch};
 
-use crate::tile::Window;
+use crate::texel::Texel;
+use crate::tile::Tile;
 
 /// A finished page: what is written of it, and what its parent needs to know.
 #[derive(Debug)]
-pub struct Whole {
+pub struct Whole<S: Texel> {
     /// All but the place of its payload.
     pub entry: PageEntry,
     /// Stored bytes; empty for a constant page.
     pub payload: Vec<u8>,
-    /// Rows and columns of the interior inside the outline.
-    pub size: (usize, usize),
-    /// The page with its border.
-    pub window: Window,
     /// Intervals of `R_l − R_L`, one a channel; `None` if they are all zero.
-    pub cells: Option<Vec<Cells>>,
+    pub cells: Option<Vec<Cells<S::Cell>>>,
 }
 
-/// A child and its place: (0 upper or 1 lower, 0 left or 1 right).
-pub type PlacedWhole = ((usize, usize), Arc<Whole>);
+/// A finished child.
+#[derive(Clone, Copy, Debug)]
+pub struct WholeChild<'a, S: Texel> {
+    /// 0 for the upper children, 1 for the lower.
+    pub row: usize,
+    /// 0 for the left children, 1 for the right.
+    pub col: usize,
+    /// The page with its border.
+    pub tile: &'a Tile<S>,
+    /// Its intervals.
+    pub cells: Option<&'a [Cells<S::Cell>]>,
+    /// Its entry.
+    pub entry: &'a PageEntry,
+}
 
-/// Finishes `page` from its window and its children.
+/// Whether pages are encoded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Payloads {
+    /// They are.
+    Made,
+    /// They stand in the archive already: payloads stay empty.
+    Unneeded,
+}
+
+/// Finishes `page` from its texels, border included, and its children.
 ///
 /// # Errors
 ///
 /// [`EncodeError`] if a texel cannot be stored, which rounding to the step rules out.
-pub fn finish(
+pub fn finish<S: Texel>(
     description: &Description,
     page: PageAddress,
-    window: Window,
-    children: &[PlacedWhole],
-) -> Result<Whole, EncodeError> {
-    let pyramid = description.grid.pyramid();
-    let size = pyramid.interior_size(page);
-    let size = (size.0 as usize, size.1 as usize);
-
-    let cells = if page.level == pyramid.finest() {
-        leaf_cells(&window, size)
+    tile: &Tile<S>,
+    children: &[WholeChild<'_, S>],
+    payloads: Payloads,
+) -> Result<Whole<S>, EncodeError> {
+    let cells = if page.level == description.grid.pyramid().finest() {
+        leaf_cells(tile)
     } else {
-        Some(parent_cells(&window, size, children, pyramid.finest()))
+        Some(parent_cells(description, page, tile, children))
     };
-    let own_bound = cells.iter().flatten().map(Cells::bound).fold(0.0, f32::max);
-    // Two reconstructions of codes are no farther apart than the codes themselves.
-    let own_bound = match description.kind {
-        Kind::Height => own_bound,
-        Kind::Color | Kind::Normal => own_bound.min(255.0),
+    let own_bound = cells.iter().flatten().map(Cells::bound::<S>).fold(0.0, f32::max);
+    let figures = Figures::of(tile, children);
+    let (stored, payload) = match payloads {
+        Payloads::Made => encode(description, tile)?,
+        Payloads::Unneeded => (NO_PAYLOAD, Vec::new()),
     };
-    let figures = Figures::of(&window, size, children);
-    let (stored, payload) = encode(description, &window)?;
     let entry = PageEntry {
         page,
         payload: stored,
@@ -64,65 +76,66 @@ pub fn finish(
         max: figures.max,
         lowest: figures.lowest,
         highest: figures.highest,
-        bound: children.iter().map(|(_, child)| child.entry.bound).fold(own_bound, f32::max),
+        bound: children.iter().map(|child| child.entry.bound).fold(own_bound, f32::max),
         source_error: figures.source_error,
-        full: window.coverage.is_none(),
+        full: tile.coverage.is_none(),
     };
-    Ok(Whole { entry, payload, size, window, cells })
+    Ok(Whole { entry, payload, cells })
 }
 
-fn leaf_cells(window: &Window, size: (usize, usize)) -> Option<Vec<Cells>> {
-    let original = window.original.as_ref()?;
-    let channels = window.planes.iter().zip(original);
-    Some(
-        channels
-            .map(|(stored, original)| {
-                let stored = bound::Window { side: window.side, texels: stored, span: None };
-                bound::leaf_cells(stored, original, size)
-            })
-            .collect(),
-    )
+/// The intervals of a leaf: zero but where its texels were rounded, which only heights are.
+fn leaf_cells<S: Texel>(tile: &Tile<S>) -> Option<Vec<Cells<S::Cell>>> {
+    let original = tile.original.as_ref()?;
+    let channels = original.iter().enumerate().map(|(channel, original)| {
+        bound::leaf_cells(window(tile, channel, None), original, (tile.rows, tile.cols))
+    });
+    Some(channels.collect())
 }
 
-fn parent_cells(
-    window: &Window,
-    size: (usize, usize),
-    children: &[PlacedWhole],
-    finest: Level,
-) -> Vec<Cells> {
-    (0..window.planes.len())
+fn parent_cells<S: Texel>(
+    description: &Description,
+    page: PageAddress,
+    tile: &Tile<S>,
+    children: &[WholeChild<'_, S>],
+) -> Vec<Cells<S::Cell>> {
+    let children_are_leaves = page.level.finer() == description.grid.pyramid().finest();
+    (0..S::CHANNELS)
         .map(|channel| {
             // A leaf's own texels before rounding are its span.
-            let originals: Vec<Option<Span>> = children
+            let originals: Vec<Option<Span<S>>> = children
                 .iter()
-                .map(|(_, child)| {
-                    let original = &child.window.original.as_ref()?[channel];
+                .map(|child| {
+                    let original = &child.tile.original.as_ref()?[channel];
                     Some(Span { least: original.clone(), greatest: original.clone() })
                 })
                 .collect();
-            let children: Vec<Child<'_>> = children
+            let children: Vec<Child<'_, S>> = children
                 .iter()
                 .zip(&originals)
-                .map(|(((row, col), child), original)| {
-                    let window = &child.window;
-                    let spans = window.spans.as_ref().map(|spans| &spans[channel]);
-                    let texels = &window.planes[channel];
-                    let span = spans.or(original.as_ref());
+                .map(|(child, original)| {
+                    let spans = child.tile.spans.as_ref().map(|spans| &spans[channel]);
                     Child {
-                        row: *row,
-                        col: *col,
-                        window: bound::Window { side: window.side, texels, span },
-                        size: child.size,
-                        finest: child.entry.page.level == finest,
-                        cells: child.cells.as_ref().map(|cells| &cells[channel]),
+                        row: child.row,
+                        col: child.col,
+                        window: window(child.tile, channel, spans.or(original.as_ref())),
+                        size: (child.tile.rows, child.tile.cols),
+                        finest: children_are_leaves,
+                        cells: child.cells.map(|cells| &cells[channel]),
                     }
                 })
                 .collect();
-            let texels = &window.planes[channel];
-            let span = window.spans.as_ref().map(|spans| &spans[channel]);
-            bound::parent_cells(bound::Window { side: window.side, texels, span }, size, &children)
+            bound::parent_cells(window(tile, channel, None), (tile.rows, tile.cols), &children)
         })
         .collect()
+}
+
+fn window<'a, S>(
+    tile: &'a Tile<S>,
+    channel: usize,
+    span: Option<&'a Span<S>>,
+) -> bound::Window<'a, S> {
+    let (texels, coverage) = (&tile.planes[channel][..], tile.coverage.as_deref());
+    bound::Window { side: tile.side, texels, coverage, span }
 }
 
 /// The figures of a page's entry.
@@ -136,34 +149,22 @@ struct Figures {
 }
 
 impl Figures {
-    fn of(window: &Window, (rows, cols): (usize, usize), children: &[PlacedWhole]) -> Self {
-        let invalid = (1..=rows)
-            .map(|row| &window.planes[0][row * window.side + 1..][..cols])
-            .map(|row| row.iter().filter(|texel| texel.is_nan()).count())
-            .sum::<usize>();
-        let total = (rows * cols) as f64;
+    fn of<S: Texel>(tile: &Tile<S>, children: &[WholeChild<'_, S>]) -> Self {
+        let total = tile.rows * tile.cols;
+        let valid = tile.coverage.as_ref().map_or(total, |codes| {
+            let row = |row: usize| codes[tile.row(row)].iter().filter(|&&code| code != 0).count();
+            (0..tile.rows).map(row).sum()
+        });
         #[expect(clippy::cast_possible_truncation, reason = "a share in f32")]
-        let valid_fraction = ((total - invalid as f64) / total) as f32;
-
-        // `min` and `max` pass NaN over.
-        let own = |margin: usize| {
-            let mut range = (f32::NAN, f32::NAN);
-            for plane in &window.planes {
-                for row in 1 - margin..=rows + margin {
-                    let row = &plane[row * window.side + 1 - margin..][..cols + 2 * margin];
-                    range = row.iter().fold(range, |(low, high), &t| (low.min(t), high.max(t)));
-                }
-            }
-            range
-        };
+        let valid_fraction = (valid as f64 / total as f64) as f32;
         if children.is_empty() {
-            let (min, max) = own(0);
-            let (lowest, highest) = own(1);
-            let source_error = source_error(window, (rows, cols));
+            let (min, max) = range(tile, 0);
+            let (lowest, highest) = range(tile, 1);
+            let source_error = source_error(tile);
             return Self { valid_fraction, min, max, lowest, highest, source_error };
         }
         let fold = |start: f32, pick: fn(f32, f32) -> f32, field: fn(&PageEntry) -> f32| {
-            children.iter().map(|(_, child)| field(&child.entry)).fold(start, pick)
+            children.iter().map(|child| field(child.entry)).fold(start, pick)
         };
         Self {
             valid_fraction,
@@ -176,57 +177,71 @@ impl Figures {
     }
 }
 
+/// Least and greatest valid texel of the interior and `margin` texels around it; NaN without any.
+fn range<S: Texel>(tile: &Tile<S>, margin: usize) -> (f32, f32) {
+    let (mut least, mut greatest) = S::NOTHING;
+    let mut widen = |texel: S| {
+        least = if texel < least { texel } else { least };
+        greatest = if texel > greatest { texel } else { greatest };
+    };
+    for row in 1 - margin..=tile.rows + margin {
+        let row = row * tile.side + 1 - margin..row * tile.side + 1 + tile.cols + margin;
+        let covered = tile.coverage.as_ref().map(|codes| &codes[row.clone()]);
+        for plane in &tile.planes {
+            match covered.filter(|codes| codes.contains(&0)) {
+                None => plane[row.clone()].iter().for_each(|&texel| widen(texel)),
+                Some(codes) => {
+                    let texels = plane[row.clone()].iter().zip(codes);
+                    texels.filter(|(_, code)| **code != 0).for_each(|(&texel, _)| widen(texel));
+                }
+            }
+        }
+    }
+    if least > greatest {
+        return (f32::NAN, f32::NAN);
+    }
+    #[expect(clippy::cast_possible_truncation, reason = "texels are f32 or smaller")]
+    let meters = |texel: S| -> f32 { Into::<f64>::into(texel) as f32 };
+    (meters(least), meters(greatest))
+}
+
 /// The largest |stored − original| in the interior.
-fn source_error(window: &Window, (rows, cols): (usize, usize)) -> f32 {
-    let Some(original) = &window.original else { return 0.0 };
+fn source_error<S: Texel>(tile: &Tile<S>) -> f32 {
+    let Some(original) = &tile.original else { return 0.0 };
     let mut largest = 0.0_f64;
-    for (stored, original) in window.planes.iter().zip(original) {
-        for row in 1..=rows {
-            let at = row * window.side + 1;
-            let pairs = stored[at..][..cols].iter().zip(&original[at..][..cols]);
-            let error = pairs.map(|(s, o)| (f64::from(*s) - f64::from(*o)).abs());
+    for (stored, original) in tile.planes.iter().zip(original) {
+        for row in 0..tile.rows {
+            let pairs = stored[tile.row(row)].iter().zip(&original[tile.row(row)]);
+            let error = pairs.map(|(&s, &o)| (Into::<f64>::into(s) - o.into()).abs());
             largest = error.fold(largest, f64::max);
         }
     }
     bound::rounded_up(largest)
 }
 
-fn encode(description: &Description, window: &Window) -> Result<(Payload, Vec<u8>), EncodeError> {
-    if let Some(texel) = constant(description.kind, window) {
-        return Ok((Payload::Constant(texel), Vec::new()));
-    }
-    let coverage = window.coverage.as_deref();
-    let payload = match description.kind {
-        Kind::Height => {
-            codec::encode_heights(&window.planes[0], coverage, window.side, description.quantum)?
-        }
-        Kind::Color | Kind::Normal => {
-            let texels: Vec<[u8; 3]> = (0..window.planes[0].len())
-                .map(|at| std::array::from_fn(|channel| code(window.planes[channel][at])))
-                .collect();
-            codec::encode_colors(&texels, coverage, window.side)?
-        }
-    };
-    Ok((Payload::Record { offset: 0, length: 0, checksum: 0 }, payload))
-}
+/// The place of a payload before the writer fills it in.
+const NO_PAYLOAD: Payload = Payload::Record { offset: 0, length: 0, checksum: 0 };
 
-/// The one texel of a window that has no other, all of it fully covered.
-fn constant(kind: Kind, window: &Window) -> Option<ConstantTexel> {
-    if window.coverage.is_some() {
-        return None;
+fn encode<S: Texel>(
+    description: &Description,
+    tile: &Tile<S>,
+) -> Result<(Payload, Vec<u8>), EncodeError> {
+    thread_local! {
+        static SCRATCH: RefCell<(Scratch, Vec<u8>)> = RefCell::default();
     }
-    let same = |plane: &Vec<f32>| plane.iter().all(|t| t.to_bits() == plane[0].to_bits());
-    window.planes.iter().all(same).then(|| match kind {
-        Kind::Height => ConstantTexel(window.planes[0][0].to_le_bytes()),
-        Kind::Color | Kind::Normal => {
-            let [red, green, blue] = std::array::from_fn(|channel| code(window.planes[channel][0]));
-            ConstantTexel([red, green, blue, 0])
-        }
+    if tile.coverage.is_none() && tile.planes.iter().all(|plane| is_constant(plane)) {
+        let texels: Vec<S> = tile.planes.iter().map(|plane| plane[0]).collect();
+        return Ok((Payload::Constant(S::constant(&texels)), Vec::new()));
+    }
+    SCRATCH.with_borrow_mut(|(scratch, payload)| {
+        S::encode(&tile.planes, tile.coverage.as_deref(), description, scratch, payload)?;
+        // A copy of the right size: what waits to be written is not the buffer's capacity.
+        Ok((NO_PAYLOAD, payload.as_slice().to_vec()))
     })
 }
 
-/// A color plane's texel as a code; black where it is invalid.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "codes are 0 to 255")]
-fn code(texel: f32) -> u8 {
-    texel as u8
+/// Whether all texels are the same, to the bit.
+fn is_constant<S: Texel>(plane: &[S]) -> bool {
+    let first = bytemuck::bytes_of(&plane[0]);
+    plane.iter().all(|texel| bytemuck::bytes_of(texel) == first)
 }

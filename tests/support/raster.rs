@@ -2,6 +2,8 @@
 //! memory.
 
 use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+use std::time::Duration;
 
 use areoid_formats::address::PageAddress;
 use areoid_formats::archive::{Archive, Description, Source};
@@ -10,8 +12,10 @@ use areoid_formats::codec::Quantum;
 use areoid_formats::grid::{Grid, GridError, Outline};
 use areoid_formats::page::Kind;
 use areoid_formats::projection::{Crs, Projection};
-use areoid_preprocess::build::{Leaves, Proceed, build};
+use areoid_preprocess::build::{Leaves, Means, Proceed, build};
 use areoid_preprocess::raster::RasterError;
+use areoid_preprocess::scratch::Scratch;
+use areoid_preprocess::texel::Planes;
 use areoid_preprocess::tile::Raw;
 
 use super::levels::{Edge, Shape};
@@ -83,7 +87,13 @@ impl Raster {
             source: Source::default(),
         };
         let leaves = RasterLeaves { raster: self, interior: page_side as usize - 2 };
-        let (bytes, _) = build(&description, &leaves, Vec::new(), |_| Proceed::Yes).unwrap();
+        // Without any memory for them, pages go through the scratch file.
+        let scratch = Scratch::new(tempfile::tempfile().unwrap(), &[]).unwrap();
+        let frontier_bytes = if self.shape.width % 2 == 0 { 0 } else { 1 << 30 };
+        let note_every = Duration::from_secs(3600);
+        let means = Means { scratch: Arc::new(scratch), frontier_bytes, note_every };
+        let (bytes, _) =
+            build(&description, &leaves, Vec::new(), &means, None, |_| Proceed::Yes).unwrap();
         bytes
     }
 }
@@ -126,17 +136,29 @@ impl Leaves for RasterLeaves<'_> {
         let Shape { width, height, .. } = self.raster.shape;
         let (top, left) = (page.row as usize * self.interior, page.col as usize * self.interior);
         let (rows, cols) = ((height - top).min(self.interior), (width - left).min(self.interior));
-        let cut = |plane: &Vec<f32>| -> Vec<f32> {
-            let row = |row| &plane[(top + row) * width + left..][..cols];
-            (0..rows).flat_map(row).copied().collect()
-        };
-        let planes: Vec<Vec<f32>> = self.raster.planes.iter().map(cut).collect();
-        let alpha: Vec<u8> = planes[0].iter().map(|t| if t.is_nan() { 0 } else { 255 }).collect();
-        let alpha = alpha.contains(&0).then_some(alpha);
-        if alpha.as_ref().is_some_and(|alpha| alpha.iter().all(|&a| a == 0)) {
+        let side = self.interior + 2;
+        let place = |row: usize, col: usize| (row + 1) * side + col + 1;
+        let (mut planes, mut alpha) = (vec![], vec![0; side * side]);
+        for plane in &self.raster.planes {
+            let mut cut = vec![f32::NAN; side * side];
+            for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
+                let texel = plane[(top + row) * width + left + col];
+                cut[place(row, col)] = texel;
+                alpha[place(row, col)] = if texel.is_nan() { 0 } else { 255 };
+            }
+            planes.push(cut);
+        }
+        let holes = (0..rows).any(|row| alpha[place(row, 0)..place(row, cols)].contains(&0));
+        if alpha.iter().all(|&alpha| alpha == 0) {
             return Ok(None);
         }
-        Ok(Some(Raw { rows, cols, planes, alpha }))
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "codes")]
+        let codes = |plane: &Vec<f32>| plane.iter().map(|&code| code as u8).collect();
+        let planes = match &planes[..] {
+            [red, green, blue] => Planes::Color([codes(red), codes(green), codes(blue)]),
+            _ => Planes::Height(planes.swap_remove(0)),
+        };
+        Ok(Some(Raw { planes, alpha: holes.then_some(alpha) }))
     }
 }
 

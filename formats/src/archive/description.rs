@@ -2,9 +2,12 @@
 //!
 //! Both are JSON, so that a person with a pager can read them and later versions can add to them.
 
+use std::io;
+
 use serde::{Deserialize, Serialize};
 
 use super::error::ArchiveError;
+use super::layout::{MAX_JSON_LEN, Preamble, archive_id};
 use crate::body::Body;
 use crate::codec::Quantum;
 use crate::grid::Grid;
@@ -106,6 +109,25 @@ impl Description {
     #[must_use]
     pub fn to_json(&self) -> Vec<u8> {
         serde_json::to_vec(self).expect("a description has no maps with odd keys")
+    }
+
+    /// The name of an archive of this description, and the bytes that it starts with: preamble and
+    /// description.
+    ///
+    /// # Errors
+    ///
+    /// If the description takes more than 2^24 bytes.
+    pub(super) fn head(&self) -> io::Result<(u64, Vec<u8>)> {
+        let json = self.to_json();
+        let description_len = u32::try_from(json.len()).ok();
+        let description_len =
+            description_len
+                .filter(|&length| u64::from(length) <= MAX_JSON_LEN)
+                .ok_or_else(|| io::Error::other("a description of more than 2^24 bytes"))?;
+        let archive = archive_id(&json);
+        let mut head = Preamble { description_len, archive }.to_bytes().to_vec();
+        head.extend_from_slice(&json);
+        Ok((archive, head))
     }
 
     /// Reads a description and checks that it makes sense.

@@ -18,4 +18,5 @@ pub use description::{Description, LevelSummary, Source, SourceFile, Summary};
 pub use entry::{ConstantTexel, ENTRY_LEN, PageEntry, Payload, payload_checksum};
 pub use error::ArchiveError;
 pub use reader::{Archive, decode_page};
+pub use recover::Unfinished;
 pub use writer::{ArchiveWriter, Written};

@@ -2,7 +2,8 @@
 
 use std::ops::Range;
 
-use super::entry::{PageEntry, Payload};
+use super::description::Description;
+use super::entry::{PageEntry, Payload, payload_checksum};
 use super::error::ArchiveError;
 use super::record::{ALIGNMENT, Marker, RECORD_HEAD_LEN, RecordHead, parse_head, record_len};
 use crate::address::PageKey;
@@ -60,6 +61,71 @@ pub fn scan(
     }
     found.entries.sort_by_key(|entry| PageKey::from(entry.page));
     Ok(found)
+}
+
+/// An archive that stopped while it was written, up to its last whole work unit.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Unfinished {
+    /// Where the records start.
+    pub records: u64,
+    /// The pages, in their order.
+    pub entries: Vec<PageEntry>,
+    /// Work units, from the first on.
+    pub units: u64,
+    /// Where the next record goes: behind the last marker. What follows is to be cut off.
+    pub end: u64,
+}
+
+/// What `source` has of the archive of `description`; `None` if it is another's or starts otherwise.
+///
+/// Every byte up to [`Unfinished::end`] is proven by a checksum, payloads included.
+///
+/// # Errors
+///
+/// [`ArchiveError::Read`] if the medium fails.
+pub fn unfinished(
+    source: &dyn ByteSource,
+    description: &Description,
+) -> Result<Option<Unfinished>, ArchiveError> {
+    let Ok((archive, expected)) = description.head() else { return Ok(None) };
+    let mut front = vec![0; expected.len()];
+    let records = (front.len() as u64).next_multiple_of(ALIGNMENT);
+    if source.len() < records {
+        return Ok(None);
+    }
+    read(source, &mut front, 0)?;
+    if front != expected {
+        return Ok(None);
+    }
+    let mut found = Unfinished { records, end: records, ..Unfinished::default() };
+    let (mut position, mut pending) = (records, Vec::new());
+    let levels = description.grid.pyramid().finest();
+    while position < source.len() {
+        let (record, length) = record_at(source, archive, position, source.len())?;
+        position += length;
+        match record {
+            Some(Found::Page(entry)) if entry.page.level <= levels && is_whole(source, &entry)? => {
+                pending.push(entry);
+            }
+            Some(Found::Marker(marker)) if marker.unit == found.units => {
+                found.entries.append(&mut pending);
+                found.entries.extend(marker.constants);
+                found.units += 1;
+                found.end = position;
+            }
+            _ => break,
+        }
+    }
+    Ok(Some(found))
+}
+
+/// Whether the payload is the one that the entry speaks of.
+fn is_whole(source: &dyn ByteSource, entry: &PageEntry) -> Result<bool, ArchiveError> {
+    let Payload::Record { offset, length, checksum } = entry.payload else { return Ok(false) };
+    // No larger than the file, because the record fits it.
+    let mut payload = vec![0; length as usize];
+    read(source, &mut payload, offset + RECORD_HEAD_LEN as u64)?;
+    Ok(payload_checksum(entry.page, &payload) == checksum)
 }
 
 enum Found {

@@ -5,8 +5,9 @@ use std::io::{self, Write};
 use super::description::{Description, LevelSummary, Summary};
 use super::entry::{PageEntry, Payload, payload_checksum};
 use super::index;
-use super::layout::{PREAMBLE_LEN, Preamble, TRAILER_LEN, Trailer, archive_id, summary_checksum};
+use super::layout::{PREAMBLE_LEN, TRAILER_LEN, Trailer, summary_checksum};
 use super::record::{ALIGNMENT, Marker, RECORD_HEAD_LEN, page_head, runs};
+use super::recover::Unfinished;
 use crate::address::{PageAddress, PageKey};
 
 /// Writes an archive to `sink`, front to back.
@@ -45,17 +46,40 @@ impl<W: Write> ArchiveWriter<W> {
     ///
     /// # Errors
     ///
-    /// Those of the sink, here and in every method: after one, the archive is to be given up.
+    /// Those of the sink, here and in every method: after one, the archive ends with its last whole
+    /// record. A description of more than 2^24 bytes.
     pub fn new(sink: W, description: &Description) -> io::Result<Self> {
-        let json = description.to_json();
-        let description_len = u32::try_from(json.len())
-            .map_err(|_| io::Error::other("a description of more than 4 GiB"))?;
-        let archive = archive_id(&json);
-        let mut head = Preamble { description_len, archive }.to_bytes().to_vec();
-        head.extend_from_slice(&json);
+        let mut writer = Self::empty_at(sink, description)?;
+        let head = std::mem::take(&mut writer.preamble_and_description);
+        writer.write(&head)?;
+        writer.preamble_and_description = head;
+        writer.align()?;
+        writer.records = writer.position;
+        Ok(writer)
+    }
+
+    /// Goes on with an archive that stopped: `sink` stands at its [`Unfinished::end`].
+    ///
+    /// # Errors
+    ///
+    /// A description of more than 2^24 bytes.
+    pub fn resume(sink: W, description: &Description, begun: Unfinished) -> io::Result<Self> {
+        let mut writer = Self::empty_at(sink, description)?;
+        writer.position = begun.end;
+        writer.records = begun.records;
+        writer.unit = begun.units;
+        for entry in &begun.entries {
+            writer.count(entry);
+        }
+        writer.entries = begun.entries;
+        Ok(writer)
+    }
+
+    fn empty_at(sink: W, description: &Description) -> io::Result<Self> {
+        let (archive, head) = description.head()?;
         let levels =
             vec![LevelSummary::default(); usize::from(description.grid.pyramid().finest().0) + 1];
-        let mut writer = Self {
+        Ok(Self {
             sink,
             position: 0,
             archive,
@@ -66,13 +90,44 @@ impl<W: Write> ArchiveWriter<W> {
             unit: 0,
             constants: Vec::new(),
             empty: Vec::new(),
-        };
-        let head = std::mem::take(&mut writer.preamble_and_description);
-        writer.write(&head)?;
-        writer.preamble_and_description = head;
-        writer.align()?;
-        writer.records = writer.position;
-        Ok(writer)
+        })
+    }
+
+    /// Work units closed.
+    pub fn units(&self) -> u64 {
+        self.unit
+    }
+
+    /// The name by which records know their archive.
+    pub fn archive(&self) -> u64 {
+        self.archive
+    }
+
+    /// Bytes written.
+    pub fn bytes(&self) -> u64 {
+        self.position
+    }
+
+    /// Whether there is no page yet that has a valid texel.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
+    /// The sink. What is written to it is not the archive's.
+    pub fn sink(&mut self) -> &mut W {
+        &mut self.sink
+    }
+
+    /// Counts a page in the summary of its level.
+    fn count(&mut self, entry: &PageEntry) {
+        let level = &mut self.levels[usize::from(entry.page.level.0)];
+        level.pages += 1;
+        level.bound_max = level.bound_max.max(entry.bound);
+        level.source_error_max = level.source_error_max.max(entry.source_error);
+        match entry.payload {
+            Payload::Constant(_) => level.constant += 1,
+            Payload::Record { length, .. } => level.bytes += u64::from(length),
+        }
     }
 
     /// Adds a page. A constant one goes into the unit's marker; the place of a payload, given in
@@ -86,18 +141,12 @@ impl<W: Write> ArchiveWriter<W> {
     ///
     /// If the page's level is not the grid's, or `payload` is longer than 4 GiB.
     pub fn page(&mut self, entry: PageEntry, payload: &[u8]) -> io::Result<()> {
-        let level = &mut self.levels[usize::from(entry.page.level.0)];
-        level.pages += 1;
-        level.bound_max = level.bound_max.max(entry.bound);
-        level.source_error_max = level.source_error_max.max(entry.source_error);
         if let Payload::Constant(_) = entry.payload {
-            level.constant += 1;
+            self.count(&entry);
             self.constants.push(entry);
             self.entries.push(entry);
             return Ok(());
         }
-        level.bytes += payload.len() as u64;
-
         let length = u32::try_from(payload.len()).expect("a page's payload is a few megabytes");
         let checksum = payload_checksum(entry.page, payload);
         let offset = self.position;
@@ -105,6 +154,7 @@ impl<W: Write> ArchiveWriter<W> {
         self.write(&page_head(self.archive, &entry, length))?;
         self.write(payload)?;
         self.align()?;
+        self.count(&entry);
         self.entries.push(entry);
         Ok(())
     }

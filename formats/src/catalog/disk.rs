@@ -1,7 +1,7 @@
 //! The few things a catalog does to a disk, so that a test can stop it before any of them.
 
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io::{self, Seek as _, Write};
 use std::path::Path;
 
 /// Changes to a file system.
@@ -29,12 +29,12 @@ pub trait Disk: Send + Sync {
     /// Whatever the system reports.
     fn open_or_create(&self, path: &Path) -> io::Result<File>;
 
-    /// Empties an open file.
+    /// Cuts an open file to `length` bytes, to which the next [`Self::append`] appends.
     ///
     /// # Errors
     ///
     /// Whatever the system reports.
-    fn truncate(&self, file: &File) -> io::Result<()>;
+    fn truncate(&self, file: &mut File, length: u64) -> io::Result<()>;
 
     /// Appends to an open file.
     ///
@@ -92,8 +92,9 @@ impl Disk for RealDisk {
         File::options().read(true).write(true).create(true).truncate(false).open(path)
     }
 
-    fn truncate(&self, file: &File) -> io::Result<()> {
-        file.set_len(0)
+    fn truncate(&self, file: &mut File, length: u64) -> io::Result<()> {
+        file.set_len(length)?;
+        file.seek(io::SeekFrom::Start(length)).map(drop)
     }
 
     fn append(&self, file: &mut File, bytes: &[u8]) -> io::Result<()> {

@@ -16,7 +16,6 @@ use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::error::CatalogError;
-use super::publish::check_name;
 use crate::archive::Source;
 use crate::body::Body;
 use crate::bounds::Aabb;
@@ -149,6 +148,15 @@ impl Manifest {
         }
         Ok(manifest)
     }
+}
+
+/// Refuses names that are not plain file names on every system.
+pub(super) fn check_name(name: &str) -> Result<(), CatalogError> {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    let plain = (1..=100).contains(&name.len())
+        && name.chars().all(allowed)
+        && name.starts_with(|c: char| c.is_ascii_alphanumeric());
+    if plain { Ok(()) } else { Err(CatalogError::Name { name: name.to_owned() }) }
 }
 
 /// The name of the manifest of a generation.

@@ -9,16 +9,19 @@
 mod disk;
 mod error;
 mod manifest;
+
+mod build;
 mod publish;
 
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+pub use build::Build;
 pub use disk::{Disk, RealDisk};
 pub use error::CatalogError;
 pub use manifest::{DatasetRecord, Manifest};
-pub use publish::{Build, NewDataset, publish_build, remove_dataset};
+pub use publish::{NewDataset, publish_build, remove_dataset};
 
 use crate::archive::Archive;
 use crate::body::Body;
@@ -127,7 +130,7 @@ impl Catalog {
     /// Where the archive of a dataset lies.
     #[must_use]
     pub fn archive_path(&self, record: &DatasetRecord) -> PathBuf {
-        self.folder.join(publish::ARCHIVES).join(&record.file)
+        self.folder.join(build::ARCHIVES).join(&record.file)
     }
 
     /// Opens the archive of a dataset.

@@ -1,11 +1,12 @@
 //! Changing a catalog: one atomic step a change.
 
 use std::fs::{self, File};
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::Path;
 
 use glam::DVec3;
 
+use super::build::{ARCHIVES, Build, remove};
 use super::disk::Disk;
 use super::error::CatalogError;
 use super::manifest::{self, DatasetRecord, Manifest};
@@ -18,21 +19,8 @@ use crate::storage::FileSource;
 use crate::units::Meters;
 use crate::volume::Volume;
 
-pub(super) const ARCHIVES: &str = "archives";
-const BUILDS: &str = "build";
 const LOCK: &str = "catalog.lock";
 const TEMPORARY: &str = "manifest-";
-
-/// An archive under construction in a catalog's folder.
-///
-/// It is a [`Write`] sink. The file is locked as long as this lives: two processes cannot build
-/// one dataset at once, and a file that can be locked belongs to nobody.
-pub struct Build<'a> {
-    disk: &'a dyn Disk,
-    folder: PathBuf,
-    path: PathBuf,
-    file: File,
-}
 
 /// What the manifest is to say of a finished build.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,64 +41,6 @@ pub struct NewDataset {
     pub source: Source,
 }
 
-impl<'a> Build<'a> {
-    /// Starts a build of `name` in the catalog at `folder`, which need not exist yet. Leftovers of
-    /// an earlier build are discarded.
-    ///
-    /// # Errors
-    ///
-    /// [`CatalogError::Name`], [`CatalogError::Busy`], or [`CatalogError::Io`].
-    pub fn start(disk: &'a dyn Disk, folder: &Path, name: &str) -> Result<Self, CatalogError> {
-        check_name(name)?;
-        create_folders(disk, &folder.join(BUILDS))?;
-        create_folders(disk, &folder.join(ARCHIVES))?;
-        let path = folder.join(BUILDS).join(format!("{name}.part"));
-        let failed = |action| move |path: &Path, source| CatalogError::io(action, path, source);
-        let file = disk.open_or_create(&path).map_err(|error| failed("create")(&path, error))?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(fs::TryLockError::WouldBlock) => {
-                return Err(CatalogError::Busy { name: name.to_owned() });
-            }
-            Err(fs::TryLockError::Error(error)) => return Err(failed("lock")(&path, error)),
-        }
-        // Between opening and locking another builder may have renamed this very file.
-        if !same_file(&file, &path) {
-            return Err(CatalogError::Busy { name: name.to_owned() });
-        }
-        disk.truncate(&file).map_err(|error| failed("empty")(&path, error))?;
-        Ok(Self { disk, folder: folder.to_owned(), path, file })
-    }
-
-    /// Gives the build up and removes its file.
-    ///
-    /// # Errors
-    ///
-    /// [`CatalogError::Io`].
-    pub fn discard(self) -> Result<(), CatalogError> {
-        self.disk
-            .remove(&self.path)
-            .map_err(|source| CatalogError::io("remove", &self.path, source))
-    }
-}
-
-impl std::fmt::Debug for Build<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Build").field("path", &self.path).finish_non_exhaustive()
-    }
-}
-
-impl Write for Build<'_> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.disk.append(&mut self.file, bytes)?;
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
 /// Makes a finished build a dataset of its catalog, replacing one of its name, and returns the
 /// generation that has it.
 ///
@@ -119,15 +49,15 @@ impl Write for Build<'_> {
 /// [`CatalogError`]; the catalog then is as it was, or has the dataset if what failed came after
 /// the link: making it durable, or sweeping.
 pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, CatalogError> {
-    let Build { disk, folder, path, file } = build;
-    disk.sync_file(&file).map_err(|source| CatalogError::io("sync", &path, source))?;
+    build.sync()?;
+    let (disk, folder, path) = (build.disk, build.folder.as_path(), build.path());
     let content = format!("{:016x}", dataset.content);
     let name = DatasetRecord::file_of(&dataset.name, &content);
     let archives = folder.join(ARCHIVES);
     let target = archives.join(&name);
 
     let mut in_place = false;
-    let published = change(disk, &folder, |newest| {
+    let published = change(disk, folder, |newest| {
         let mut manifest = newest.unwrap_or_else(|| Manifest::empty(dataset.body.clone()));
         if manifest.datasets.is_empty() {
             manifest.body = dataset.body.clone();
@@ -165,7 +95,9 @@ pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, Catal
     if published.is_err() && !in_place {
         // If it cannot be removed, the next build of this name discards it; the first error says
         // more.
-        let _ = disk.remove(&path);
+        let _ = build.discard();
+    } else {
+        build.tidy();
     }
     published
 }
@@ -187,18 +119,6 @@ pub fn remove_dataset(disk: &dyn Disk, folder: &Path, name: &str) -> Result<u64,
         }
         Ok(manifest)
     })
-}
-
-/// Creates `path` and the folders above it that are not there, durably: a new folder's name is
-/// synced in the folder above it.
-fn create_folders(disk: &dyn Disk, path: &Path) -> Result<(), CatalogError> {
-    let missing: Vec<&Path> = path.ancestors().take_while(|folder| !folder.is_dir()).collect();
-    disk.create_folders(path).map_err(|source| CatalogError::io("create", path, source))?;
-    for parent in missing.into_iter().filter_map(Path::parent) {
-        let parent = if parent.as_os_str().is_empty() { Path::new(".") } else { parent };
-        disk.sync_folder(parent).map_err(|source| CatalogError::io("sync", parent, source))?;
-    }
-    Ok(())
 }
 
 /// A box around the dataset whose archive is at `path`.
@@ -268,7 +188,7 @@ fn link_manifest(
     let target = folder.join(manifest::file_name(manifest.generation));
     let write = || {
         let mut file = disk.open_or_create(&temporary)?;
-        disk.truncate(&file)?;
+        disk.truncate(&mut file, 0)?;
         disk.append(&mut file, &manifest.to_bytes())?;
         disk.sync_file(&file)
     };
@@ -306,34 +226,4 @@ fn names_in(folder: &Path) -> Result<impl Iterator<Item = String>, CatalogError>
     let listing =
         fs::read_dir(folder).map_err(|source| CatalogError::io("list", folder, source))?;
     Ok(listing.filter_map(|entry| entry.ok()?.file_name().into_string().ok()))
-}
-
-fn remove(disk: &dyn Disk, path: &Path) -> Result<(), CatalogError> {
-    match disk.remove(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => {
-            Err(CatalogError::io("remove", path, error))
-        }
-        _ => Ok(()),
-    }
-}
-
-#[cfg(unix)]
-fn same_file(file: &File, path: &Path) -> bool {
-    use std::os::unix::fs::MetadataExt as _;
-    let identity = |data: fs::Metadata| (data.dev(), data.ino());
-    matches!((file.metadata(), fs::metadata(path)), (Ok(one), Ok(other)) if identity(one.clone()) == identity(other.clone()))
-}
-
-#[cfg(not(unix))]
-fn same_file(_file: &File, path: &Path) -> bool {
-    path.exists()
-}
-
-/// Refuses names that are not plain file names on every system.
-pub(super) fn check_name(name: &str) -> Result<(), CatalogError> {
-    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    let plain = (1..=100).contains(&name.len())
-        && name.chars().all(allowed)
-        && name.starts_with(|c: char| c.is_ascii_alphanumeric());
-    if plain { Ok(()) } else { Err(CatalogError::Name { name: name.to_owned() }) }
 }

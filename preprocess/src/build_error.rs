@@ -1,0 +1,56 @@
+//! What can go wrong with a build.
+
+use std::io;
+
+use areoid_formats::address::PageAddress;
+use areoid_formats::codec::EncodeError;
+
+use crate::raster::RasterError;
+
+/// A build that did not come to its end.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BuildError {
+    /// The source cannot be read.
+    #[error(transparent)]
+    Raster(#[from] RasterError),
+    /// A texel that cannot be stored on the dataset's step.
+    #[error("page {page} holds a height that the step {step} cannot store in 32 bits")]
+    Step {
+        /// The page.
+        page: PageAddress,
+        /// The step in meters.
+        step: f64,
+    },
+    /// A page that does not encode.
+    #[error("page {page} does not encode")]
+    Encode {
+        /// The page.
+        page: PageAddress,
+        /// What the codec says.
+        source: EncodeError,
+    },
+    /// The archive cannot be written.
+    #[error("cannot write the archive")]
+    Write(#[source] io::Error),
+    /// The scratch file cannot be written or read.
+    #[error("cannot keep pages in the scratch file")]
+    Scratch(#[source] io::Error),
+    /// Nothing to build.
+    #[error("no valid sample: every one is no-data")]
+    NoData,
+    /// The caller asked to stop.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+impl BuildError {
+    /// Whether the same build may come to its end another time, without doing everything again.
+    #[must_use]
+    pub fn can_be_resumed(&self) -> bool {
+        match self {
+            Self::Raster(_) | Self::Write(_) | Self::Scratch(_) | Self::Interrupted => true,
+            Self::Step { .. } | Self::Encode { .. } | Self::NoData => false,
+        }
+    }
+}

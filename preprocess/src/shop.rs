@@ -1,0 +1,327 @@
+//! One work unit after another: leaves in, finished pages out.
+//!
+//! ```text
+//!   read ──▶ settle leaves ──▶ settle parents ──▶ border, finish ──▶ written in order
+//!            coverage, step     mean of children    neighbors' texels
+//! ```
+//!
+//! Within a step the pages of a level are made in parallel, each from pages that do not change
+//! meanwhile; so nothing depends on threads or time.
+
+use std::collections::{HashMap, HashSet};
+use std::io;
+use std::sync::Arc;
+
+use areoid_formats::address::PageAddress;
+use areoid_formats::archive::{Description, PageEntry};
+use areoid_formats::pyramid::Pyramid;
+use rayon::prelude::*;
+
+use crate::build_error::BuildError;
+use crate::feather::{self, Validity};
+use crate::frontier::{Frontier, Kept};
+use crate::mip::{self, Spans};
+use crate::note::{Note, NotedValidity};
+use crate::schedule::Step;
+use crate::scratch::{Scratch, Slot};
+use crate::texel::Texel;
+use crate::tile::{Border, Raw, Tile};
+use crate::whole::{self, Payloads, Whole, WholeChild};
+
+/// What is under construction.
+pub(crate) struct Shop<'a, S: Texel> {
+    description: &'a Description,
+    spans: Spans,
+    scratch: Arc<Scratch>,
+    frontier: Frontier<S>,
+    /// Of the leaves that a feather may still reach.
+    validity: HashMap<PageAddress, Validity>,
+    /// Of the pages whose parents are not whole.
+    entries: HashMap<PageAddress, PageEntry>,
+    /// Pages that one of their two uses is over for: as a neighbor and child to be averaged, and as
+    /// a child to be held against.
+    half_done: HashSet<PageAddress>,
+    /// Slots of the last note that are not the frontier's.
+    noted_bits: Vec<Slot>,
+}
+
+/// A page that has become whole, and what is written of it: nothing if it has no valid texel.
+pub(crate) type Finished = (PageAddress, Option<(PageEntry, Vec<u8>)>);
+
+impl<'a, S: Texel> Shop<'a, S> {
+    pub(crate) fn new(
+        description: &'a Description,
+        spans: Spans,
+        scratch: Arc<Scratch>,
+        frontier_bytes: u64,
+    ) -> Self {
+        Self {
+            description,
+            spans,
+            frontier: Frontier::new(Arc::clone(&scratch), frontier_bytes),
+            scratch,
+            validity: HashMap::new(),
+            entries: HashMap::new(),
+            half_done: HashSet::new(),
+            noted_bits: Vec::new(),
+        }
+    }
+
+    /// Goes back to where `note` was written; false, and unchanged, if the scratch file is not the
+    /// one it speaks of.
+    pub(crate) fn restore(&mut self, note: &Note) -> bool {
+        let bits = |slot: Slot| -> Option<Vec<u64>> {
+            Some(bytemuck::pod_collect_to_vec(&self.scratch.get(slot).ok()?))
+        };
+        let mut validity = HashMap::new();
+        for &(page, noted) in &note.validity {
+            let known = match noted {
+                NotedValidity::Empty => Validity::Empty,
+                NotedValidity::Full => Validity::Full,
+                NotedValidity::Mixed { cols, bits: slot } => {
+                    let Some(bits) = bits(slot) else { return false };
+                    self.noted_bits.push(slot);
+                    Validity::Mixed { cols, bits }
+                }
+            };
+            validity.insert(page, known);
+        }
+        if note.pages.iter().any(|&(_, slot)| self.scratch.get(slot).is_err()) {
+            return false;
+        }
+        self.validity = validity;
+        self.frontier.restore(&note.pages);
+        self.entries = note.entries.iter().map(|entry| (entry.page, *entry)).collect();
+        self.half_done = note.half_done.iter().copied().collect();
+        true
+    }
+
+    /// Saves everything, and says what a later process needs to go on.
+    pub(crate) fn note(&mut self, archive: u64, units: u64) -> io::Result<Note> {
+        let pages = self.frontier.save_all()?;
+        let bits = |words: &[u64]| self.scratch.put(&[bytemuck::cast_slice(words)]);
+        let validity = self.validity.iter();
+        let validity =
+            validity.map(|(&page, validity)| Ok((page, NotedValidity::of(validity, bits)?)));
+        let validity = validity.collect::<io::Result<_>>()?;
+        let entries = self.entries.values().copied().collect();
+        let half_done = self.half_done.iter().copied().collect();
+        Ok(Note { archive, units, pages, entries, validity, half_done })
+    }
+
+    /// Tells that `note` is kept, and the one before it forgotten.
+    pub(crate) fn noted(&mut self, note: &Note) {
+        self.scratch.name(&note.slots());
+        let in_frontier: HashSet<u64> = note.pages.iter().map(|(_, slot)| slot.offset).collect();
+        let bits = note.slots().into_iter().filter(|slot| !in_frontier.contains(&slot.offset));
+        let before = std::mem::replace(&mut self.noted_bits, bits.collect());
+        before.into_iter().for_each(|slot| self.scratch.free(slot));
+    }
+
+    /// Does a step; `soon` is the one after it. `give` gets the pages that became whole, in order.
+    pub(crate) fn take(
+        &mut self,
+        step: &Step,
+        soon: Option<&Step>,
+        raws: Vec<(PageAddress, Option<Raw>)>,
+        payloads: Payloads,
+        mut give: impl FnMut(Finished) -> Result<(), BuildError>,
+    ) -> Result<(), BuildError> {
+        self.take_in(raws);
+        self.frontier.fetch(&self.looked_at(step)).map_err(BuildError::Scratch)?;
+        for level in step.settled.chunk_by(|one, other| one.level == other.level) {
+            if level[0].level == self.pyramid().finest() {
+                self.settle_leaves(level)?;
+            } else {
+                self.settle_parents(level);
+            }
+        }
+        for level in step.whole.chunk_by(|one, other| one.level == other.level) {
+            for finished in self.finish_pages(level, payloads)? {
+                give(finished)?;
+            }
+        }
+        for page in &step.forget_read {
+            self.validity.remove(page);
+        }
+        for &page in &step.forget_whole {
+            self.entries.remove(&page);
+            self.use_is_over(page);
+        }
+        step.forget_settled.iter().for_each(|&page| self.use_is_over(page));
+        let soon = soon.map(|step| self.looked_at(step)).unwrap_or_default();
+        self.frontier.shrink(&soon).map_err(BuildError::Scratch)
+    }
+
+    fn pyramid(&self) -> &'a Pyramid {
+        self.description.grid.pyramid()
+    }
+
+    /// The pages whose texels a step looks at.
+    fn looked_at(&self, step: &Step) -> HashSet<PageAddress> {
+        let pyramid = self.pyramid();
+        let mut pages: HashSet<PageAddress> = step.settled.iter().copied().collect();
+        for &page in step.settled.iter().chain(&step.whole) {
+            pages.extend(pyramid.children(page));
+        }
+        for &page in &step.whole {
+            pages.extend(pyramid.sources(page, Pyramid::BORDER));
+        }
+        pages
+    }
+
+    fn use_is_over(&mut self, page: PageAddress) {
+        if self.half_done.remove(&page) {
+            self.frontier.forget(page);
+        } else {
+            self.half_done.insert(page);
+        }
+    }
+
+    fn take_in(&mut self, raws: Vec<(PageAddress, Option<Raw>)>) {
+        let pyramid = self.pyramid();
+        let side = pyramid.page_side() as usize;
+        for (page, raw) in raws {
+            let (rows, cols) = pyramid.interior_size(page);
+            let (rows, cols) = (rows as usize, cols as usize);
+            let Some(Raw { planes, alpha }) = raw else {
+                self.validity.insert(page, Validity::Empty);
+                continue;
+            };
+            let planes = S::channels(planes);
+            let tile =
+                Tile { side, rows, cols, planes, original: None, coverage: alpha, spans: None };
+            let validity = tile.coverage.as_ref().map_or(Validity::Full, |alpha| {
+                Validity::of(cols, (0..rows).map(|row| &alpha[tile.row(row)]))
+            });
+            self.validity.insert(page, validity);
+            self.frontier.insert(page, Kept { tile, cells: None });
+        }
+    }
+
+    /// Takes pages out, changes them in parallel, puts them back, and says in their order what came
+    /// of it. Pages that are not there are passed over.
+    fn change<T: Send, R: Send>(
+        &mut self,
+        pages: Vec<(PageAddress, T)>,
+        change: impl Fn(&Self, PageAddress, T, &mut Kept<S>) -> Result<R, BuildError> + Sync,
+    ) -> Result<Vec<R>, BuildError> {
+        let taken: Vec<_> = pages
+            .into_iter()
+            .filter_map(|(page, with)| Some((page, with, self.frontier.take(page)?)))
+            .collect();
+        let changed: Vec<_> = taken
+            .into_par_iter()
+            .map(|(page, with, mut kept)| {
+                let result = change(self, page, with, &mut kept)?;
+                Ok((page, kept, result))
+            })
+            .collect::<Result<_, BuildError>>()?;
+        let put_back = |(page, kept, result)| {
+            self.frontier.insert(page, kept);
+            result
+        };
+        Ok(changed.into_iter().map(put_back).collect())
+    }
+
+    /// Gives leaves their coverage, and puts them on the dataset's step.
+    fn settle_leaves(&mut self, leaves: &[PageAddress]) -> Result<(), BuildError> {
+        let leaves = leaves.iter().map(|&leaf| (leaf, ())).collect();
+        self.change(leaves, |shop, page, (), kept| {
+            let Tile { planes, original, coverage, .. } = &mut kept.tile;
+            let validity = |leaf| &shop.validity[&leaf];
+            *coverage = feather::coverage(shop.pyramid(), page, coverage.as_deref(), validity);
+            let quantum = shop.description.quantum;
+            *original =
+                S::to_step(planes, quantum).ok_or(BuildError::Step { page, step: quantum.step })?;
+            Ok(())
+        })?;
+        Ok(())
+    }
+
+    fn settle_parents(&mut self, parents: &[PageAddress]) {
+        let pyramid = self.pyramid();
+        let settled: Vec<_> = parents
+            .par_iter()
+            .map(|&page| {
+                let children: Vec<_> = pyramid
+                    .children(page)
+                    .filter_map(|child| Some((place_of(child), &self.frontier.get(child)?.tile)))
+                    .collect();
+                let (rows, cols) = pyramid.interior_size(page);
+                let (side, size) = (pyramid.page_side() as usize, (rows as usize, cols as usize));
+                mip::parent(side, size, &children, self.description.quantum, self.spans)
+            })
+            .collect();
+        for (&page, tile) in parents.iter().zip(settled) {
+            if let Some(tile) = tile {
+                self.frontier.insert(page, Kept { tile, cells: None });
+            }
+        }
+    }
+
+    /// Finishes pages of one level.
+    fn finish_pages(
+        &mut self,
+        pages: &[PageAddress],
+        payloads: Payloads,
+    ) -> Result<Vec<Finished>, BuildError> {
+        let pyramid = self.pyramid();
+        let tile_of = |page| self.frontier.get(page).map(|kept| &kept.tile);
+        let quantum = self.description.quantum;
+        let borders: Vec<(PageAddress, Border<S>)> = pages
+            .par_iter()
+            .map(|&page| (page, Border::around(pyramid, page, tile_of, quantum)))
+            .collect();
+
+        for (page, border) in &borders {
+            if self.frontier.get(*page).is_none() && !border.is_empty() {
+                // Nothing inside, but something that shows at the edge.
+                let (rows, cols) = pyramid.interior_size(*page);
+                let size = (rows as usize, cols as usize);
+                let tile = Tile::blank(pyramid.page_side() as usize, size);
+                self.frontier.insert(*page, Kept { tile, cells: None });
+            }
+        }
+        let wholes = self.change(borders, |shop, page, border, kept| {
+            kept.tile.close(&border);
+            let Whole { entry, payload, cells } = shop.finish(page, &kept.tile, payloads)?;
+            kept.cells = cells;
+            Ok((entry, payload))
+        })?;
+        let mut wholes = wholes.into_iter().peekable();
+        let with_its_whole = |&page| {
+            let whole = wholes.next_if(|(entry, _)| entry.page == page);
+            if let Some((entry, _)) = &whole {
+                self.entries.insert(page, *entry);
+            }
+            (page, whole)
+        };
+        Ok(pages.iter().map(with_its_whole).collect())
+    }
+
+    fn finish(
+        &self,
+        page: PageAddress,
+        tile: &Tile<S>,
+        payloads: Payloads,
+    ) -> Result<Whole<S>, BuildError> {
+        let children: Vec<WholeChild<'_, S>> = self
+            .pyramid()
+            .children(page)
+            .filter_map(|child| {
+                let (row, col) = place_of(child);
+                let entry = self.entries.get(&child)?;
+                let Kept { tile, cells } = self.frontier.get(child)?;
+                Some(WholeChild { row, col, tile, cells: cells.as_deref(), entry })
+            })
+            .collect();
+        whole::finish(self.description, page, tile, &children, payloads)
+            .map_err(|source| BuildError::Encode { page, source })
+    }
+}
+
+/// Where a child lies under its parent.
+fn place_of(child: PageAddress) -> (usize, usize) {
+    ((child.row % 2) as usize, (child.col % 2) as usize)
+}
