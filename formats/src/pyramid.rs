@@ -23,6 +23,8 @@
 //! mirrored, at row coordinate n + 2^-k, between two rows, and [`ExtendedRow`] says with what
 //! weight.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use crate::address::{Level, PageAddress};
@@ -332,34 +334,57 @@ impl Pyramid {
             let start = i64::from(index * interior);
             start - i64::from(halo)..start + i64::from(interior + halo)
         };
-        let mut rows: Vec<(u32, bool)> = span(page.row)
-            .flat_map(|row| {
-                let extended = self.extended_row(page.level, row);
-                [extended.row, extended.next].map(|row| (row / interior, extended.turned))
-            })
-            .collect();
-        rows.sort_unstable();
-        rows.dedup();
+        let mut straight_rows: Vec<u32> = Vec::new();
+        let mut turned_rows: Vec<u32> = Vec::new();
+        let height = i64::from(self.size(page.level).expect("the page is this pyramid's").height);
+        let Range { start: top, end: bottom } = span(page.row);
+        // Rows of the level are their own; those past its edges are asked for one by one.
+        let own = top.clamp(0, height)..bottom.clamp(0, height);
+        if !own.is_empty() {
+            straight_rows.extend(narrow(own.start) / interior..=narrow(own.end - 1) / interior);
+        }
+        for row in (top..own.start).chain(own.end..bottom) {
+            let extended = self.extended_row(page.level, row);
+            let rows = if extended.turned { &mut turned_rows } else { &mut straight_rows };
+            for row in [extended.row / interior, extended.next / interior] {
+                if !rows.contains(&row) {
+                    rows.push(row);
+                }
+            }
+        }
 
-        let cols = |turned| {
-            let mut cols: Vec<u32> = span(page.col)
-                .map(|col| self.extended_col(page.level, col, turned) / interior)
-                .collect();
-            cols.sort_unstable();
-            cols.dedup();
-            cols
-        };
-        let (straight, turned_cols) = (cols(false), cols(true));
-        let mut pages: Vec<PageAddress> = rows
-            .into_iter()
-            .flat_map(|(row, turned)| {
-                let cols = if turned { &turned_cols } else { &straight };
-                cols.iter().map(move |&col| PageAddress::new(page.level, row, col))
-            })
-            .collect();
+        let mut pages = Vec::new();
+        for (rows, turned) in [(straight_rows, false), (turned_rows, true)] {
+            if rows.is_empty() {
+                continue;
+            }
+            let cols = self.source_cols(page.level, span(page.col), turned);
+            for row in rows {
+                pages.extend(cols.iter().map(|&col| PageAddress::new(page.level, row, col)));
+            }
+        }
         pages.sort_unstable();
         pages.dedup();
         pages
+    }
+
+    /// The columns of pages that hold columns `span` of a level, extended.
+    fn source_cols(&self, level: Level, span: Range<i64>, turned: bool) -> Vec<u32> {
+        let interior = self.interior();
+        let width = i64::from(self.size(level).expect("the level is this pyramid's").width);
+        let pages =
+            |cols: Range<i64>| narrow(cols.start) / interior..=narrow(cols.end - 1) / interior;
+        if !self.extent.wraps {
+            let start = span.start.clamp(0, width - 1);
+            return pages(start..span.end.clamp(start + 1, width)).collect();
+        }
+        let length = (span.end - span.start).min(width);
+        let start = i64::from(self.extended_col(level, span.start, turned));
+        let straight = pages(start..(start + length).min(width));
+        if start + length <= width {
+            return straight.collect();
+        }
+        straight.chain(pages(0..start + length - width)).collect()
     }
 }
 

@@ -243,24 +243,33 @@ fn users(pyramid: &Pyramid, page: PageAddress, halo: u32) -> Vec<PageAddress> {
     let (rows, cols) = pyramid.pages(page.level).expect("the page is this pyramid's");
     // A window and its halo reach so many pages; one more where the last page is a sliver.
     let reach = (halo + pyramid.interior()).div_ceil(pyramid.interior()) + 1;
+    let inside = |at: u32, count: u32| at >= 2 * reach && at + 2 * reach < count;
+    if inside(page.row, rows) && inside(page.col, cols) {
+        // Among whole pages, far from every edge, who sees is seen.
+        return pyramid.sources(page, halo);
+    }
     let extent = pyramid.extent();
     let near_north = extent.north != PoleContact::None && page.row <= 2 * reach;
     let near_south = extent.south != PoleContact::None && page.row + 2 * reach + 1 >= rows;
 
+    let around = |col: u32| {
+        let (first, last) = (i64::from(col) - i64::from(reach), i64::from(col + reach));
+        (first..=last).filter_map(|col| {
+            let inside = (0..i64::from(cols)).contains(&col);
+            let col = col.rem_euclid(i64::from(cols));
+            (inside || extent.wraps).then(|| u32::try_from(col).expect("a column of the level"))
+        })
+    };
     let mut candidates: Vec<(u32, u32)> = Vec::new();
     for row in page.row.saturating_sub(2 * reach)..(page.row + 2 * reach + 1).min(rows) {
-        let straight = row.abs_diff(page.row) <= reach;
+        if row.abs_diff(page.row) <= reach {
+            candidates.extend(around(page.col).map(|col| (row, col)));
+        }
         if near_north && row <= 2 * reach || near_south && row + 2 * reach + 1 >= rows {
-            candidates.extend((0..cols).map(|col| (row, col)));
-        } else if straight {
-            let (first, last) = (i64::from(page.col) - i64::from(reach), page.col + reach);
-            for col in first..=i64::from(last) {
-                let inside = (0..i64::from(cols)).contains(&col);
-                if inside || extent.wraps {
-                    let col = col.rem_euclid(i64::from(cols));
-                    candidates.push((row, u32::try_from(col).expect("a column of the level")));
-                }
-            }
+            // Half a turn away, a column more where that falls between two.
+            let half_turn = (page.col + cols / 2) % cols;
+            let far = around(half_turn).chain(around((half_turn + 1) % cols));
+            candidates.extend(far.map(|col| (row, col)));
         }
     }
     candidates.sort_unstable();
@@ -297,6 +306,8 @@ mod tests {
             globe(64, 32, PoleContact::Outline),
             globe(64, 33, PoleContact::Posts),
             globe(128, 64, PoleContact::Outline),
+            globe(512, 256, PoleContact::Outline),
+            globe(320, 161, PoleContact::Posts),
             globe(40, 30, none),
             Extent { south: none, ..globe(96, 41, PoleContact::Outline) },
         ];

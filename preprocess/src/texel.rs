@@ -18,7 +18,7 @@ pub enum Planes {
 }
 
 /// A texel of one channel.
-pub trait Texel: bound::Texel<Cell: bytemuck::Pod> + bytemuck::Pod + PartialEq {
+pub trait Texel: bound::Texel<Cell: bytemuck::Pod> + bytemuck::Pod + std::fmt::Debug {
     /// Channels of a page.
     const CHANNELS: usize;
     /// What stands where there is no data; coverage says so.

@@ -141,4 +141,31 @@ proptest! {
             }
         }
     }
+
+    /// Texel by texel, as the words have it.
+    #[test]
+    fn the_sources_of_a_page_hold_what_shows_around_it(
+        extent in any_extent(), side in 5..40_u32, halo in 0..50_u32, place: [u16; 3],
+    ) {
+        let Ok(pyramid) = Pyramid::new(extent, 2 * side) else { return Ok(()) };
+        let level = Level(u8::try_from(u32::from(place[0]) % (u32::from(pyramid.finest().0) + 1)).unwrap());
+        let (rows, cols) = pyramid.pages(level).unwrap();
+        let page = PageAddress::new(level, u32::from(place[1]) % rows, u32::from(place[2]) % cols);
+        let interior = pyramid.interior();
+        let around = |index: u32| {
+            let start = i64::from(index * interior);
+            start - i64::from(halo)..start + i64::from(interior + halo)
+        };
+        let mut expected = Vec::new();
+        for row in around(page.row) {
+            let from = pyramid.extended_row(level, row);
+            for col in around(page.col) {
+                let col = pyramid.extended_col(level, col, from.turned) / interior;
+                expected.extend([from.row, from.next].map(|row| PageAddress::new(level, row / interior, col)));
+            }
+            expected.sort_unstable();
+            expected.dedup();
+        }
+        prop_assert_eq!(pyramid.sources(page, halo), expected);
+    }
 }
