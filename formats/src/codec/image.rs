@@ -230,3 +230,67 @@ fn join<L: Lane>(
         above.copy_from_slice(&rows[(BAND - 1) * stride..]);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// The planes of `lanes`, bit by bit as the format has them.
+    fn planes_by_hand(predictor: Predictor, lanes: &[u16], side: usize) -> Vec<u8> {
+        let mut planes = vec![0; 16 * plane_len(side)];
+        for y in 0..side {
+            let mut residuals = vec![0; side];
+            let above = &lanes[y.saturating_sub(1) * side..y * side];
+            residual_row(predictor, above, &lanes[y * side..][..side], &mut residuals);
+            for (x, residual) in residuals.into_iter().enumerate() {
+                for k in 0..16 {
+                    let bit = residual.byte(k / 8) >> (k % 8) & 1;
+                    planes[k * plane_len(side) + y / BAND * side + x] |= bit << (y % BAND);
+                }
+            }
+        }
+        planes
+    }
+
+    proptest! {
+        /// Also where an upper byte comes to life, or falls silent, in the middle of a page.
+        #[test]
+        fn lanes_split_as_the_format_says_and_join_again(
+            side in prop::sample::select(vec![4_usize, 8, 10, 23, 66]),
+            noise in prop::collection::vec(any::<u16>(), 97),
+            live_bands in any::<u8>(),
+        ) {
+            let lanes: Vec<u16> = (0..side * side)
+                .zip(noise.into_iter().cycle())
+                .map(|(i, lane)| if live_bands >> (i / side / BAND % 8) & 1 == 1 { lane } else { lane & 15 })
+                .collect();
+            for predictor in Predictor::ALL {
+                // Whatever the buffers held before.
+                let mut band = vec![0xa5a5; (BAND + 1) * stride(side)];
+                let mut planes = vec![0xa5; 16 * plane_len(side)];
+                let live = split(predictor, &lanes, side, &mut band, &mut planes);
+
+                let expected = planes_by_hand(predictor, &lanes, side);
+                let (planes, expected) =
+                    (planes.chunks(plane_len(side)), expected.chunks(plane_len(side)));
+                let mut sources = [None; 16];
+                for (k, (plane, expected)) in planes.zip(expected).enumerate() {
+                    prop_assert_eq!(live >> k & 1 == 1, expected.iter().any(|&byte| byte != 0));
+                    if live >> k & 1 == 1 {
+                        prop_assert_eq!(plane, expected, "plane {}", k);
+                        sources[k] = Some(plane);
+                    }
+                }
+
+                band.fill(0x5a5a);
+                let mut back = Vec::new();
+                join(predictor, &sources, side, &mut band, |y, row| {
+                    assert_eq!(back.len(), y * side);
+                    back.extend_from_slice(row);
+                });
+                prop_assert_eq!(&back, &lanes);
+            }
+        }
+    }
+}
