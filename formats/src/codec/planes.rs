@@ -121,11 +121,24 @@ fn write_sparse(plane: &[u8], ones: usize, out: &mut Vec<u8>) {
         out.push(which(u64::from_le_bytes(word)));
     }
     let start = out.len();
-    // Every byte is written and the next one overwrites a 0: branches would be guesses.
-    out.resize(start + ones + 1, 0);
+    // Every byte is written, and the next one overwrites a 0: branches would be guesses. A word has
+    // room for 16 bytes, so that no index is out of bounds.
+    out.resize(start + ones + 16, 0);
     let bytes = &mut out[start..];
     let mut at = 0;
-    for &byte in plane {
+    for word in words {
+        if *word == [0; 8] {
+            continue;
+        }
+        let room: &mut [u8; 16] = bytes[at..].first_chunk_mut().expect("16 bytes more than ones");
+        let mut next = 0;
+        for &byte in word {
+            room[next % 16] = byte;
+            next += usize::from(byte != 0);
+        }
+        at += next;
+    }
+    for &byte in rest {
         bytes[at] = byte;
         at += usize::from(byte != 0);
     }
