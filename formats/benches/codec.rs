@@ -7,7 +7,7 @@
 use std::hint::black_box;
 
 use areoid_formats::codec::{
-    Quantum, Scratch, decode_colors_into, decode_heights_into, encode_colors_into,
+    Quantum, Scratch, decode_color_planes_into, decode_heights_into, encode_color_planes_into,
     encode_heights_into,
 };
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
@@ -110,9 +110,12 @@ fn colors(c: &mut Criterion) {
         .zip(&rough)
         .map(|(a, b)| [160.0 + a / 60.0, 120.0 + a / 80.0, 80.0 + a / 99.0 + b / 400.0].map(code))
         .collect();
+    let planes: [Vec<u8>; 3] =
+        [0, 1, 2].map(|channel| texels.iter().map(|texel| texel[channel]).collect());
     let (mut scratch, mut payload) = (Scratch::default(), Vec::new());
     let mut encode = |payload: &mut Vec<u8>| {
-        encode_colors_into(black_box(&texels), None, SIDE, &mut scratch, payload)
+        let planes = planes.each_ref().map(|plane| &plane[..]);
+        encode_color_planes_into(black_box(planes), None, SIDE, &mut scratch, payload)
             .expect("colors of a page");
     };
     encode(&mut payload);
@@ -121,11 +124,11 @@ fn colors(c: &mut Criterion) {
     let mut group = c.benchmark_group(format!("colors ({kib} KiB)"));
     group.throughput(Throughput::Bytes((SIDE * SIDE * 3) as u64));
     group.bench_function("encode", |b| b.iter(|| encode(&mut payload)));
-    let (mut decoded, mut coverage) = (Vec::new(), Vec::new());
+    let (mut decoded, mut coverage) = ([const { Vec::new() }; 3], Vec::new());
     group.bench_function("decode", |b| {
         b.iter(|| {
             let bytes = black_box(&payload);
-            decode_colors_into(bytes, SIDE, &mut scratch, &mut decoded, &mut coverage)
+            decode_color_planes_into(bytes, SIDE, &mut scratch, &mut decoded, &mut coverage)
                 .expect("a payload");
         });
     });

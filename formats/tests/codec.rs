@@ -6,8 +6,9 @@
 )]
 
 use areoid_formats::codec::{
-    DecodeError, EncodeError, Quantum, Scratch, decode_colors, decode_heights, decode_heights_into,
-    encode_colors, encode_heights, encode_heights_into,
+    DecodeError, EncodeError, Quantum, Scratch, decode_color_planes_into, decode_colors,
+    decode_heights, decode_heights_into, encode_color_planes_into, encode_colors, encode_heights,
+    encode_heights_into,
 };
 use proptest::prelude::*;
 
@@ -151,7 +152,23 @@ proptest! {
                 *texel = [0; 3];
             }
         }
-        prop_assert_eq!(decode_colors(&payload, side).unwrap(), (texels, normal(coverage)));
+        let (decoded, covered) = decode_colors(&payload, side).unwrap();
+        prop_assert_eq!(&decoded, &texels);
+        prop_assert_eq!(&covered, &normal(coverage.clone()));
+
+        // As planes: the same bytes, and the same texels back.
+        let (mut scratch, mut of_planes) = (Scratch::default(), vec![7]);
+        let planes: [Vec<u8>; 3] =
+            [0, 1, 2].map(|channel| texels.iter().map(|texel| texel[channel]).collect());
+        let slices = planes.each_ref().map(|plane| &plane[..]);
+        let coverage = coverage.as_deref();
+        encode_color_planes_into(slices, coverage, side, &mut scratch, &mut of_planes).unwrap();
+        prop_assert_eq!(&of_planes, &payload);
+        let (mut back, mut back_covered) = ([vec![1], vec![], vec![9; 5]], vec![3]);
+        decode_color_planes_into(&payload, side, &mut scratch, &mut back, &mut back_covered)
+            .unwrap();
+        prop_assert_eq!(back, planes);
+        prop_assert_eq!(back_covered, covered.unwrap_or_default());
     }
 
     #[test]
@@ -338,6 +355,18 @@ fn what_a_scratch_held_before_changes_nothing() {
     }
 }
 
+#[test]
+fn planes_of_the_wrong_length_are_named() {
+    let (scratch, payload) = (&mut Scratch::default(), &mut Vec::new());
+    for (wrong, what) in ["red", "green", "blue", "coverage"].into_iter().enumerate() {
+        let buffers: [Vec<u8>; 4] = std::array::from_fn(|i| vec![1; 16 + usize::from(i == wrong)]);
+        let [red, green, blue, coverage] = buffers.each_ref().map(|buffer| &buffer[..]);
+        let planes = [red, green, blue];
+        let found = encode_color_planes_into(planes, Some(coverage), 4, scratch, payload);
+        assert_eq!(found, Err(EncodeError::Length { what, expected: 16, found: 17 }));
+    }
+}
+
 /// The bytes of the format, by hand: a change here is a change of every archive.
 #[test]
 fn a_small_page_has_the_bytes_of_the_format() {
@@ -348,10 +377,11 @@ fn a_small_page_has_the_bytes_of_the_format() {
         0x10,                       // heights, full coverage, 16-bit lanes
         100, 0, 0, 0,               // base
         2,                          // plane predictor; residuals 0 6 6 6 | 10 0 0 0 | 10 .. | 10 ..
-        0b0101_0100, 0, 0, 0,       // planes 1, 2 and 3 raw
-        0b0001_1110, 0b0001_0001,   // plane 1: 6 6 6, 10 | 10, 10
-        0b0000_1110, 0,             // plane 2
-        0b0001_0000, 0b0001_0001,   // plane 3
+        0b1001_0100, 0, 0, 0,       // planes 1 and 2 raw, 3 sparse
+        2, 0, 0, 0,                 // its length
+        0b1110, 1, 1, 1,            // plane 1: 10 in rows 1 to 3 of column 0, 6 in row 0 of the others
+        0, 1, 1, 1,                 // plane 2
+        0b0001, 0b1110,             // plane 3: only byte 0 is not 0
     ];
     assert_eq!(encode_heights(&texels, None, 4, meters).unwrap(), expected);
 }

@@ -9,7 +9,7 @@ pub const MAGIC: [u8; 8] = *b"\x89Areo\r\n\x1a";
 /// The last structure of an archive starts with these.
 pub const TRAILER_MAGIC: [u8; 8] = *b"\x89ArTail\n";
 /// The one version this build reads and writes.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 /// Size of the preamble in bytes; the description follows.
 pub const PREAMBLE_LEN: usize = 64;
 /// Size of the trailer in bytes.

@@ -1,15 +1,18 @@
 //! Lanes into bit planes, and back.
 //!
-//! A lane is an unsigned integer of 8, 16 or 32 bits. Bit `k` of lane `i` is bit `i mod 8` of byte
-//! `i / 8` of plane `k`:
+//! A lane is an unsigned integer of 8, 16 or 32 bits. A byte of plane `k` has bit `k` of eight lanes
+//! one below the other: bit `r` of byte `b side + x` is that of row `8 b + r`, column `x`.
 //!
 //! ```text
-//!   lanes    l0 l1 l2 ..            planes   bit 0 of  l0 l1 l2 l3 l4 l5 l6 l7 | l8 ..
-//!            each w bits      ->             bit 1 of  l0 l1 ..
+//!   lanes    row 0   a0 a1 a2 ..      plane k    bytes of band 0   x = 0: bit k of a0 b0 c0 .. h0
+//!   band 0   row 1   b0 b1 b2 ..  ->                               x = 1: bit k of a1 b1 c1 .. h1
+//!            ..                                  bytes of band 1   ..
+//!            row 7   h0 h1 h2 ..
 //! ```
 //!
 //! Small residuals leave the upper planes empty or sparse, and noise is confined to the lower ones.
-//! In memory the lanes come in whole blocks; what is beyond the last texel is not stored.
+//! Eight lanes below one another are as near as eight in a row, and turning them into a byte needs no
+//! shuffling of bytes: registers are rows, and bits move between registers in place.
 //!
 //! # References
 //!
@@ -17,15 +20,11 @@
 //! and Computing 12, 2015 (bitshuffle); H. S. Warren, *Hacker's Delight*, section 7-3 (the 8x8
 //! transposition).
 
-/// Words of a plane that are handled at once: enough for the compiler to make vectors of them, few
-/// enough for the fastest cache.
-const WIDTH: usize = 16;
+/// Rows of a band: the bits of a byte.
+pub(super) const BAND: usize = 8;
 
-/// Lanes in a block.
-pub(super) const BLOCK: usize = 64 * WIDTH;
-
-/// Bytes of a block in one plane.
-const BLOCK_BYTES: usize = 8 * WIDTH;
+/// Columns that are turned at once: as many bytes as the widest registers have.
+const COLUMNS: usize = 64;
 
 /// An unsigned integer that wraps: the unit of prediction and of bit planes.
 pub(super) trait Lane: Copy + Default + PartialEq + Into<u32> {
@@ -105,82 +104,94 @@ lane!(u8);
 lane!(u16);
 lane!(u32);
 
-/// Bytes of a plane in memory: whole blocks.
-pub(super) const fn stride(lanes: usize) -> usize {
-    lanes.div_ceil(BLOCK) * BLOCK_BYTES
+/// Lanes of a row in memory: whole turns of columns.
+pub(super) const fn stride(side: usize) -> usize {
+    side.next_multiple_of(COLUMNS)
 }
 
-/// Writes the planes of `lanes`, plane `k` at `k * stride`.
-///
-/// Where `union`, the bitwise or of all lanes, shows the eight planes of a byte empty, they are left
-/// as they are.
+/// Eight rows of a band's bytes, or the same columns of eight planes.
+type Square = [[u64; COLUMNS / 8]; BAND];
+
+/// Writes byte `byte` of the lanes of a band to the eight planes that it has.
 ///
 /// # Shapes
 ///
-/// `lanes` is whole blocks; `planes` is `L::BITS` strides.
-pub(super) fn shuffle<L: Lane>(lanes: &[L], union: L, planes: &mut [u8]) {
-    let stride = stride(lanes.len());
-    for (byte, planes) in planes.chunks_exact_mut(8 * stride).enumerate() {
-        if union.byte(byte) == 0 {
-            continue;
-        }
-        for (block, lanes) in lanes.as_chunks::<BLOCK>().0.iter().enumerate() {
-            let bytes = lanes.map(|lane| lane.byte(byte));
-            let mut words = [[0; WIDTH]; 8];
-            for (i, bytes) in bytes.as_chunks().0.iter().enumerate() {
-                words[i % 8][i / 8] = u64::from_le_bytes(*bytes);
-            }
-            each_column(&mut words, |column| transpose_bits(transpose_bytes(column)));
-            for (plane, words) in words.iter().enumerate() {
-                let bytes = &mut planes[plane * stride + block * BLOCK_BYTES..][..BLOCK_BYTES];
-                for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(words) {
-                    *bytes = word.to_le_bytes();
-                }
-            }
-        }
-    }
-}
-
-/// The inverse of [`shuffle`]; the eight planes of a byte that is not live are taken for empty.
-///
-/// # Shapes
-///
-/// As for [`shuffle`]; bit `k` of `live` says that plane `k` may hold a one.
-pub(super) fn unshuffle<L: Lane>(planes: &[u8], live: u32, lanes: &mut [L]) {
-    let stride = stride(lanes.len());
-    for (block, lanes) in lanes.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
-        let mut values = [L::default(); BLOCK];
-        for (byte, planes) in planes.chunks_exact(8 * stride).enumerate() {
-            if (live >> (8 * byte)) & 0xff == 0 {
-                continue;
-            }
-            let mut words = [[0; WIDTH]; 8];
-            for (plane, words) in words.iter_mut().enumerate() {
-                let bytes = &planes[plane * stride + block * BLOCK_BYTES..][..BLOCK_BYTES];
-                for (bytes, word) in bytes.as_chunks().0.iter().zip(words) {
-                    *word = u64::from_le_bytes(*bytes);
-                }
-            }
-            each_column(&mut words, |column| transpose_bytes(transpose_bits(column)));
-            let mut bytes = [0; BLOCK];
-            for (i, bytes) in bytes.as_chunks_mut().0.iter_mut().enumerate() {
-                *bytes = words[i % 8][i / 8].to_le_bytes();
-            }
-            for (value, bits) in values.iter_mut().zip(bytes) {
-                *value = value.or(L::from_byte(bits, byte));
-            }
-        }
-        *lanes = values;
-    }
-}
-
-/// Replaces every column of eight words. The columns are independent, and so become vectors.
+/// `rows` is eight rows, each padded to [`stride`]; `planes` gives the `side` bytes that the band has
+/// in each plane.
 #[inline(always)]
-fn each_column(words: &mut [[u64; WIDTH]; 8], transposed: impl Fn([u64; 8]) -> [u64; 8]) {
-    let [a, b, c, d, e, f, g, h] = words;
-    for i in 0..WIDTH {
+pub(super) fn turn<L: Lane>(rows: &[L], byte: usize, mut planes: [&mut [u8]; BAND]) {
+    let side = planes[0].len();
+    let stride = stride(side);
+    for start in (0..side).step_by(COLUMNS) {
+        let mut square = Square::default();
+        for (words, row) in square.iter_mut().zip(rows.chunks_exact(stride)) {
+            let row: &[L; COLUMNS] = row[start..].first_chunk().expect("rows are padded");
+            let bytes = row.map(|lane| lane.byte(byte));
+            for (word, bytes) in words.iter_mut().zip(bytes.as_chunks().0) {
+                *word = u64::from_le_bytes(*bytes);
+            }
+        }
+        transpose(&mut square);
+        let end = side.min(start + COLUMNS);
+        for (words, plane) in square.iter().zip(&mut planes) {
+            let bytes: [u8; COLUMNS] = bytes_from(words);
+            match plane[start..].first_chunk_mut() {
+                Some(whole) => *whole = bytes,
+                None => plane[start..end].copy_from_slice(&bytes[..end - start]),
+            }
+        }
+    }
+}
+
+/// The inverse of [`turn`]: sets byte `byte` of lanes in which it is 0. A plane that is `None` is
+/// empty.
+///
+/// # Shapes
+///
+/// As for [`turn`]; what lies past the last column comes out as anything.
+#[inline(always)]
+pub(super) fn turn_back<L: Lane>(planes: [Option<&[u8]>; BAND], byte: usize, rows: &mut [L]) {
+    let Some(side) = planes.iter().flatten().next().map(|plane| plane.len()) else { return };
+    let stride = stride(side);
+    for start in (0..side).step_by(COLUMNS) {
+        let mut square = Square::default();
+        for (words, plane) in square.iter_mut().zip(planes) {
+            let Some(plane) = plane else { continue };
+            let mut bytes = [0; COLUMNS];
+            match plane[start..].first_chunk() {
+                Some(whole) => bytes = *whole,
+                None => bytes[..side - start].copy_from_slice(&plane[start..]),
+            }
+            for (word, bytes) in words.iter_mut().zip(bytes.as_chunks().0) {
+                *word = u64::from_le_bytes(*bytes);
+            }
+        }
+        transpose(&mut square);
+        for (words, row) in square.iter().zip(rows.chunks_exact_mut(stride)) {
+            let row: &mut [L; COLUMNS] = row[start..].first_chunk_mut().expect("rows are padded");
+            for (lane, bits) in row.iter_mut().zip(bytes_from(words)) {
+                *lane = lane.or(L::from_byte(bits, byte));
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn bytes_from(words: &[u64; COLUMNS / 8]) -> [u8; COLUMNS] {
+    let mut bytes = [0; COLUMNS];
+    for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(words) {
+        *bytes = word.to_le_bytes();
+    }
+    bytes
+}
+
+/// Turns every column of bytes. The words of a row are independent, and so become vectors.
+#[inline(always)]
+fn transpose(square: &mut Square) {
+    let [a, b, c, d, e, f, g, h] = square;
+    for i in 0..COLUMNS / 8 {
         let column = [a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i]];
-        [a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i]] = transposed(column);
+        [a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i]] = transpose_bits(column);
     }
 }
 
@@ -190,14 +201,6 @@ fn transpose_bits(column: [u64; 8]) -> [u64; 8] {
     let column = exchange::<4, 4>(column, 0x0f0f_0f0f_0f0f_0f0f);
     let column = exchange::<2, 2>(column, 0x3333_3333_3333_3333);
     exchange::<1, 1>(column, 0x5555_5555_5555_5555)
-}
-
-/// Byte `c` of word `r` becomes byte `r` of word `c`. Its own inverse.
-#[inline(always)]
-fn transpose_bytes(column: [u64; 8]) -> [u64; 8] {
-    let column = exchange::<4, 32>(column, 0x0000_0000_ffff_ffff);
-    let column = exchange::<2, 16>(column, 0x0000_ffff_0000_ffff);
-    exchange::<1, 8>(column, 0x00ff_00ff_00ff_00ff)
 }
 
 /// One step of a transposition: of two words `DISTANCE` apart, the first gives its upper fields for
@@ -219,38 +222,49 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn planes_of<L: Lane>(lanes: &[L]) -> Vec<u8> {
-        let mut planes = vec![0; L::BITS * stride(lanes.len())];
-        let union = lanes.iter().fold(L::default(), |union, &lane| union.or(lane));
-        shuffle(lanes, union, &mut planes);
+    const SIDE: usize = 70;
+
+    fn planes_of<L: Lane>(rows: &[L]) -> Vec<[u8; SIDE]> {
+        let mut planes = vec![[0; SIDE]; L::BITS];
+        for (byte, planes) in planes.as_chunks_mut::<BAND>().0.iter_mut().enumerate() {
+            turn(rows, byte, planes.each_mut().map(|plane| &mut plane[..]));
+        }
         planes
     }
 
     fn check<L: Lane + std::fmt::Debug>(lanes: &[L]) {
-        let lanes: Vec<L> = lanes.iter().copied().cycle().take(2 * BLOCK).collect();
-        let planes = planes_of(&lanes);
-        let stride = stride(lanes.len());
-        for (i, &lane) in lanes.iter().enumerate() {
-            for k in 0..L::BITS {
-                let bit = planes[k * stride + i / 8] >> (i % 8) & 1;
-                assert_eq!(u32::from(bit), lane.into() >> k & 1, "bit {k} of lane {i}");
+        let stride = stride(SIDE);
+        let rows: Vec<L> = lanes.iter().copied().cycle().take(BAND * stride).collect();
+        let planes = planes_of(&rows);
+        for (k, plane) in planes.iter().enumerate() {
+            for (x, byte) in plane.iter().enumerate() {
+                for r in 0..BAND {
+                    let bit = rows[r * stride + x].into() >> k & 1;
+                    assert_eq!(u32::from(byte >> r & 1), bit, "bit {k} of row {r}, column {x}");
+                }
             }
         }
-        let mut back = vec![L::from_byte(0xff, 0); lanes.len()];
-        unshuffle(&planes, u32::MAX, &mut back);
-        assert_eq!(back, lanes);
+        let mut back = vec![L::default(); rows.len()];
+        for (byte, planes) in planes.as_chunks::<BAND>().0.iter().enumerate() {
+            let empty = |plane: &[u8; SIDE]| plane.iter().all(|&byte| byte == 0);
+            let planes = planes.each_ref().map(|plane| (!empty(plane)).then_some(&plane[..]));
+            turn_back(planes, byte, &mut back);
+        }
+        for (row, back) in rows.chunks(stride).zip(back.chunks(stride)) {
+            assert_eq!(back[..SIDE], row[..SIDE]);
+        }
     }
 
     #[test]
     fn each_single_bit_lands_where_the_format_says() {
-        for lane in (0..BLOCK).step_by(5).chain([63, 64, BLOCK - 1]) {
-            for bit in 0..32 {
-                let mut lanes = [0_u32; BLOCK];
-                lanes[lane] = 1 << bit;
-                let planes = planes_of(&lanes);
-                let ones: Vec<_> = (0..planes.len()).filter(|&at| planes[at] != 0).collect();
-                assert_eq!(ones, [bit * BLOCK_BYTES + lane / 8]);
-                assert_eq!(planes[ones[0]], 1 << (lane % 8));
+        let stride = stride(SIDE);
+        for x in [0, 1, 7, 8, 63, 64, 69] {
+            for (r, bit) in (0..8).flat_map(|r| (0..32).map(move |bit| (r, bit))) {
+                let mut rows = vec![0_u32; BAND * stride];
+                rows[r * stride + x] = 1 << bit;
+                let mut expected = vec![[0; SIDE]; 32];
+                expected[bit][x] = 1 << r;
+                assert_eq!(planes_of(&rows), expected);
             }
         }
     }

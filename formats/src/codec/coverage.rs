@@ -3,12 +3,23 @@
 use super::bits::Lane;
 use super::error::DecodeError;
 use super::image::{self, ImageScratch, PlaneScratch};
-use super::predict::cheapest;
 use super::reader::Reader;
 
 /// The plane if it says anything: `None` where everything is covered.
 pub(super) fn partial(coverage: Option<&[u8]>) -> Option<&[u8]> {
-    coverage.filter(|coverage| coverage.iter().any(|&covered| covered != u8::MAX))
+    coverage.filter(|coverage| any(coverage, |covered| covered != u8::MAX))
+}
+
+/// Whether all texels are covered, if only a little.
+#[inline(always)]
+pub(super) fn all(coverage: &[u8]) -> bool {
+    !any(coverage, |covered| covered == 0)
+}
+
+/// Whether `holds` of any: by chunks without an exit, which become vectors.
+#[inline(always)]
+fn any(coverage: &[u8], holds: impl Fn(u8) -> bool) -> bool {
+    coverage.chunks(256).any(|chunk| chunk.iter().fold(false, |any, &covered| any | holds(covered)))
 }
 
 /// Appends the plane as a lane image of 8 bits.
@@ -20,8 +31,7 @@ pub(super) fn write(
     out: &mut Vec<u8>,
 ) {
     scratch.lanes_mut(side).copy_from_slice(coverage);
-    let (predictor, _) = cheapest(&scratch.lanes, side);
-    image::write(scratch, shared, None, side, predictor, out);
+    image::write(scratch, shared, None, side, None, out);
 }
 
 /// Reads the plane into `coverage`, or clears it where the payload has none.
@@ -33,13 +43,15 @@ pub(super) fn read(
     shared: &mut PlaneScratch,
     coverage: &mut Vec<u8>,
 ) -> Result<(), DecodeError> {
-    coverage.clear();
     if present == Presence::Absent {
+        coverage.clear();
         return Ok(());
     }
     let offset = reader.position();
-    image::read(reader, side, scratch, shared)?;
-    coverage.extend_from_slice(scratch.lanes_mut(side));
+    coverage.resize(side * side, 0);
+    image::read(reader, side, scratch, shared, |y, row| {
+        coverage[y * side..][..side].copy_from_slice(row);
+    })?;
     match partial(Some(coverage)) {
         Some(_) => Ok(()),
         None => Err(DecodeError::FullCoverage { offset }),
@@ -62,15 +74,14 @@ impl Presence {
     }
 }
 
-/// Gives lanes without coverage the last covered value before them, so that choosing a predictor
-/// by sampling sees no cliffs at the rims of holes.
-pub(super) fn hold<L: Lane>(coverage: &[u8], lanes: &mut [L]) {
+/// Gives lanes of a row without coverage the last covered value before them, or 0.
+pub(super) fn hold<L: Lane>(coverage: &[u8], row: &mut [L]) {
+    if all(coverage) {
+        return;
+    }
     let mut last = L::default();
-    for (lane, &covered) in lanes.iter_mut().zip(coverage) {
-        if covered == 0 {
-            *lane = last;
-        } else {
-            last = *lane;
-        }
+    for (lane, &covered) in row.iter_mut().zip(coverage) {
+        last = if covered == 0 { last } else { *lane };
+        *lane = last;
     }
 }

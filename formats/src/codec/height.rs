@@ -14,7 +14,6 @@ use super::bits::Lane;
 use super::coverage::{self, Presence};
 use super::error::{DecodeError, EncodeError};
 use super::image::{self, ImageScratch, PlaneScratch};
-use super::predict::cheapest;
 use super::quantum::Quantum;
 use super::reader::Reader;
 use super::{Scratch, check_length, check_side};
@@ -23,8 +22,14 @@ const FORM: u8 = 0x10;
 const COVERAGE: u8 = 1;
 const WIDE: u8 = 2;
 
+/// The step whose indices are the heights themselves.
+const UNIT: Quantum = Quantum { step: 1.0, offset: 0.0 };
+
+/// A float32 within 2^22 of 0 has, plus this, itself as the distance in bits from this.
+const WHOLE: f32 = 12_582_912.0; // 1.5 2^23
+
 /// Texels handled together: found good in one go, or looked at one by one.
-const CHUNK: usize = 64;
+const CHUNK: usize = 256;
 
 /// Encodes a page of heights.
 ///
@@ -110,15 +115,10 @@ fn write_lanes<L: Lane>(
     shared: &mut PlaneScratch,
     payload: &mut Vec<u8>,
 ) {
-    let lanes = scratch.lanes_mut(side);
-    for (l, &index) in lanes.iter_mut().zip(indices) {
+    for (l, &index) in scratch.lanes_mut(side).iter_mut().zip(indices) {
         *l = lane(index);
     }
-    if let Some(coverage) = coverage {
-        coverage::hold(coverage, lanes);
-    }
-    let (predictor, _) = cheapest(lanes, side);
-    image::write(scratch, shared, coverage, side, predictor, payload);
+    image::write(scratch, shared, coverage, side, None, payload);
 }
 
 /// Fills `indices`, and returns the least and greatest of covered texels (0 and 0 if there are
@@ -136,12 +136,11 @@ fn index(
     {
         let start = chunk * CHUNK;
         let coverage = coverage.map(|coverage| &coverage[start..][..texels.len()]);
-        let covered = coverage.is_none_or(|coverage| coverage.iter().all(|&c| c != 0));
-        if covered && index_all(texels, quantum, indices) {
-            for &index in &*indices {
-                least = least.min(index);
-                greatest = greatest.max(index);
-            }
+        if coverage.is_none_or(coverage::all)
+            && let Some((low, high)) = index_all(texels, quantum, indices)
+        {
+            least = least.min(low);
+            greatest = greatest.max(high);
             continue;
         }
         for (i, (&texel, index)) in texels.iter().zip(indices).enumerate() {
@@ -159,21 +158,53 @@ fn index(
     Ok(if least > greatest { (0, 0) } else { (least, greatest) })
 }
 
-/// Indices of texels that are all covered; `false` if one needs a closer look.
-fn index_all(texels: &[f32], quantum: Quantum, indices: &mut [i32]) -> bool {
+/// Indices of texels that are all covered, the least and the greatest; `None` if one needs a closer
+/// look.
+#[inline(always)]
+fn index_all(texels: &[f32], quantum: Quantum, indices: &mut [i32]) -> Option<(i32, i32)> {
+    if quantum == UNIT && texels.len() == CHUNK {
+        return index_whole(texels, indices);
+    }
     let mut good = true;
+    let pairs = indices.iter_mut().zip(texels);
     if quantum.is_none() {
-        for (index, &texel) in indices.iter_mut().zip(texels) {
+        for (index, &texel) in pairs {
             good &= texel.is_finite();
             *index = index_from_float(texel);
         }
     } else {
-        for (index, &texel) in indices.iter_mut().zip(texels) {
-            *index = quantum.nearest(texel);
+        let steps_per_meter = 1.0 / quantum.step;
+        for (index, &texel) in pairs {
+            *index = quantum.guess(texel, steps_per_meter);
             good &= quantum.value(*index).to_bits() == texel.to_bits();
         }
     }
-    good
+    let least = indices.iter().fold(i32::MAX, |least, &index| least.min(index));
+    let greatest = indices.iter().fold(i32::MIN, |greatest, &index| greatest.max(index));
+    good.then_some((least, greatest))
+}
+
+/// [`index_all`] where the index is the height, in operations that are vectors in every instruction
+/// set: floats have a minimum and a maximum, 32-bit integers often not.
+#[inline(always)]
+fn index_whole(texels: &[f32], indices: &mut [i32]) -> Option<(i32, i32)> {
+    const LANES: usize = 16;
+    let mut wrong = [0; LANES];
+    let (mut least, mut greatest) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
+    let chunks = texels.as_chunks::<LANES>().0.iter();
+    for (texels, indices) in chunks.zip(indices.as_chunks_mut::<LANES>().0) {
+        for i in 0..LANES {
+            let texel = texels[i];
+            indices[i] = (texel + WHOLE).to_bits().wrapping_sub(WHOLE.to_bits()).cast_signed();
+            wrong[i] |= (indices[i] as f32).to_bits() ^ texel.to_bits();
+            least[i] = if texel < least[i] { texel } else { least[i] };
+            greatest[i] = if texel > greatest[i] { texel } else { greatest[i] };
+        }
+    }
+    let least = least.into_iter().fold(f32::INFINITY, f32::min);
+    let greatest = greatest.into_iter().fold(f32::NEG_INFINITY, f32::max);
+    #[expect(clippy::cast_possible_truncation, reason = "whole and small where none is wrong")]
+    return (wrong == [0; LANES]).then_some((least as i32, greatest as i32));
 }
 
 fn index_one(at: usize, texel: f32, quantum: Quantum) -> Result<i32, EncodeError> {
@@ -253,11 +284,13 @@ pub fn decode_heights_into(
     texels.resize(side * side, 0.0);
     let Scratch { bytes, halves, words, shared, .. } = scratch;
     if form & WIDE == 0 {
-        image::read(&mut reader, side, halves, shared)?;
-        value(halves.lanes_mut(side), base, quantum, texels);
+        image::read(&mut reader, side, halves, shared, |y, row| {
+            value(row, base, quantum, &mut texels[y * side..][..side]);
+        })?;
     } else {
-        image::read(&mut reader, side, words, shared)?;
-        value(words.lanes_mut(side), base, quantum, texels);
+        image::read(&mut reader, side, words, shared, |y, row| {
+            value(row, base, quantum, &mut texels[y * side..][..side]);
+        })?;
     }
     coverage::read(Presence::from_form(form), &mut reader, side, bytes, shared, coverage)?;
     reader.finish()?;
@@ -274,12 +307,13 @@ pub fn decode_heights_into(
 }
 
 /// Turns lanes into heights.
+#[inline(always)]
 fn value<L: Lane>(lanes: &[L], base: i32, quantum: Quantum, texels: &mut [f32]) {
     let index = |lane: L| base.wrapping_add(lane.into().cast_signed());
     let pairs = texels.iter_mut().zip(lanes);
     if quantum.is_none() {
         pairs.for_each(|(texel, &lane)| *texel = float_from_index(index(lane)));
-    } else if quantum == (Quantum { step: 1.0, offset: 0.0 }) {
+    } else if quantum == UNIT {
         // An i32 is exact in f64, so one rounding or two make no difference.
         pairs.for_each(|(texel, &lane)| *texel = index(lane) as f32);
     } else {

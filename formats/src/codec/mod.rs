@@ -22,7 +22,10 @@ mod predict;
 mod quantum;
 mod reader;
 
-pub use color::{decode_colors, decode_colors_into, encode_colors, encode_colors_into};
+pub use color::{
+    decode_color_planes_into, decode_colors, decode_colors_into, encode_color_planes_into,
+    encode_colors, encode_colors_into,
+};
 pub use error::{DecodeError, EncodeError};
 pub use height::{decode_heights, decode_heights_into, encode_heights, encode_heights_into};
 pub use quantum::{Quantum, QuantumError};
@@ -36,9 +39,8 @@ pub const SIDES: RangeInclusive<usize> = 4..=4098;
 
 /// Buffers that encoding and decoding need, to be kept between pages of one thread.
 ///
-/// It grows to at most about 27 bytes a texel of the largest page it has seen, if it meets every kind.
-/// What it held before changes no
-/// result.
+/// It grows to at most about 22 bytes a texel of the largest page it has seen, if it meets every kind.
+/// What it held before changes no result.
 #[derive(Debug, Default)]
 pub struct Scratch {
     indices: Vec<i32>,
@@ -46,7 +48,7 @@ pub struct Scratch {
     halves: ImageScratch<u16>,
     words: ImageScratch<u32>,
     shared: PlaneScratch,
-    channels: [Vec<u8>; 5],
+    channels: [Vec<u8>; 3],
 }
 
 /// Refuses a side outside [`SIDES`].

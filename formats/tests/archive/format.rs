@@ -112,7 +112,7 @@ fn the_tables_read_an_archive() {
 
     let preamble = Table::read("Preamble", 64);
     assert_eq!(preamble.bytes(bytes, "magic"), magic("Preamble"));
-    assert_eq!(preamble.number(bytes, "version"), 1);
+    assert_eq!(preamble.number(bytes, "version"), 2);
     assert_eq!(preamble.number(bytes, "checksum"), xxh3_64(&bytes[..56]));
     let json = &bytes[64..][..preamble.number(bytes, "description length") as usize];
     let id = xxh3_64(json);
@@ -167,7 +167,7 @@ fn the_tables_read_an_archive() {
     let tail = &bytes[bytes.len() - 128..];
     assert_eq!(table.bytes(tail, "magic"), magic("Trailer"));
     assert_eq!(table.number(tail, "checksum"), xxh3_64(&tail[..120]));
-    assert_eq!(table.number(tail, "version"), 1);
+    assert_eq!(table.number(tail, "version"), 2);
     assert_eq!(table.number(tail, "archive"), id);
     assert_eq!(table.number(tail, "records"), small.start() as u64);
     assert_eq!(table.number(tail, "index"), start as u64);

@@ -371,9 +371,9 @@ fn forged_descriptions_are_refused() {
     open(deep.as_bytes(), 1 << 20).unwrap_err();
     let newer = {
         let mut bytes = small.bytes.to_vec();
-        bytes[8..12].copy_from_slice(&2_u32.to_le_bytes());
+        bytes[8..12].copy_from_slice(&3_u32.to_le_bytes());
         seal(&mut bytes, 0, PREAMBLE_LEN - 8);
         Archive::open(Box::new(bytes)).unwrap_err()
     };
-    assert!(matches!(newer, ArchiveError::Version { found: 2, supported: 1 }), "{newer}");
+    assert!(matches!(newer, ArchiveError::Version { found: 3, supported: 2 }), "{newer}");
 }
