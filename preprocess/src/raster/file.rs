@@ -42,14 +42,14 @@ impl PositionedFile {
     /// there.
     pub(crate) fn read(&self, what: &str, start: u64, count: u64) -> Result<Vec<u8>, RasterError> {
         let mut bytes = Vec::new();
-        self.append(what, start, count, &mut bytes)?;
+        self.read_into(|| what.to_owned(), start, count, &mut bytes)?;
         Ok(bytes)
     }
 
-    /// Like [`Self::read`], behind what `bytes` holds already.
-    pub(crate) fn append(
+    /// Like [`Self::read`], in place of what `bytes` holds.
+    pub(crate) fn read_into(
         &self,
-        what: &str,
+        what: impl FnOnce() -> String,
         start: u64,
         count: u64,
         bytes: &mut Vec<u8>,
@@ -58,16 +58,15 @@ impl PositionedFile {
         let (Some(_), Ok(count)) = (end, usize::try_from(count)) else {
             return Err(RasterError::Truncated {
                 path: self.path.clone(),
-                what: what.to_owned(),
+                what: what(),
                 start,
                 end: start.saturating_add(count),
                 len: self.len,
             });
         };
-        let before = bytes.len();
-        bytes.resize(before + count, 0);
-        read_exact_at(&self.file, &mut bytes[before..], start)
-            .map_err(RasterError::io("read", &self.path))
+        // Zeros are needed only where the buffer grows.
+        bytes.resize(count, 0);
+        read_exact_at(&self.file, bytes, start).map_err(RasterError::io("read", &self.path))
     }
 }
 

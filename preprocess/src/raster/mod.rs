@@ -21,6 +21,7 @@ mod error;
 mod file;
 mod georeference;
 mod image;
+mod inflate;
 mod outline;
 mod samples;
 mod tiff;

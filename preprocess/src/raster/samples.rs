@@ -108,6 +108,18 @@ impl Samples {
         }
     }
 
+    /// The samples as the host has them in memory.
+    #[must_use]
+    pub fn as_bytes(&self) -> &[u8] {
+        with_samples!(self, values => bytemuck::cast_slice(values))
+    }
+
+    /// See [`Self::as_bytes`].
+    #[must_use]
+    pub fn as_bytes_mut(&mut self) -> &mut [u8] {
+        with_samples!(self, values => bytemuck::cast_slice_mut(values))
+    }
+
     /// How many samples there are, over all bands.
     #[must_use]
     pub fn len(&self) -> usize {

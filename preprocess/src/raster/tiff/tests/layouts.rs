@@ -6,7 +6,7 @@ use crate::raster::samples::{SampleType, Samples};
 use crate::raster::tiff::directory::{ByteOrder, tags};
 use crate::raster::{colors_into, heights_into};
 
-const TYPES: [SampleType; 8] = [
+pub(super) const TYPES: [SampleType; 8] = [
     SampleType::U8,
     SampleType::I8,
     SampleType::U16,
