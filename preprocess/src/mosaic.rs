@@ -3,6 +3,7 @@
 //! Several rasters make a mosaic if they share a projection and a pixel size and lie a whole
 //! number of pixels apart. Where they overlap the one given last shows, where it has data.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use areoid_formats::address::PageAddress;
@@ -13,9 +14,9 @@ use areoid_formats::pyramid::Pyramid;
 
 use crate::build::Leaves;
 use crate::raster::{
-    Block, BlockCache, Raster, RasterError, RasterInfo, colors_into, heights_into,
+    BlockCache, Filled, Raster, RasterError, RasterInfo, Window, colors_into, heights_into,
 };
-use crate::tile::{Raw, Tile};
+use crate::tile::Raw;
 
 /// How far a raster may lie off the common grid, in pixels.
 const ALIGNMENT_PX: f64 = 1e-3;
@@ -235,107 +236,167 @@ fn whole(pixels: f64) -> Option<u32> {
     (0.0..=f64::from(u32::MAX)).contains(&pixels).then_some(pixels as u32)
 }
 
-impl Leaves for Mosaic {
-    fn read(&self, page: PageAddress) -> Result<Option<Raw>, RasterError> {
+/// A leaf's interior as its rasters have it, cut at the outline.
+#[derive(Debug)]
+struct Leaf {
+    rows: usize,
+    cols: usize,
+    planes: Planes,
+    /// Alpha beside each texel, or `None` where all are opaque and valid. 0 is invalid.
+    alpha: Option<Vec<u8>>,
+}
+
+/// Texels in the type that the rasters have.
+#[derive(Debug)]
+enum Planes {
+    /// NaN where invalid.
+    Height(Vec<f32>),
+    /// 0 where invalid.
+    Color([Vec<u8>; 3]),
+}
+
+impl Mosaic {
+    /// The leaf of `page`; `None` if no raster has data in it.
+    fn read_planes(&self, page: PageAddress) -> Result<Option<Leaf>, RasterError> {
         let pyramid = self.grid.pyramid();
         let (rows, cols) = pyramid.interior_size(page);
-        let (top, left) = (page.row * pyramid.interior(), page.col * pyramid.interior());
-        let count = rows as usize * cols as usize;
-        let mut raw = Raw {
-            rows: rows as usize,
-            cols: cols as usize,
-            planes: Tile::blank(count, self.kind.channels()),
-            alpha: Some(vec![0; count]),
+        let place = Place {
+            col: page.col * pyramid.interior(),
+            row: page.row * pyramid.interior(),
+            width: cols,
+            height: rows,
         };
-        for part in &self.parts {
-            part.read_into(&mut raw, (top, left), self.kind)?;
-        }
-        let alpha = raw.alpha.take().unwrap_or_default();
-        if alpha.iter().all(|&alpha| alpha == 0) {
+        let overlaps = self.parts.iter().map(|part| (part, part.overlap(place)));
+        let overlaps: Vec<_> = overlaps.filter_map(|(part, at)| Some((part, at?))).collect();
+        if overlaps.is_empty() {
             return Ok(None);
         }
-        if alpha.iter().any(|&alpha| alpha != u8::MAX) {
-            raw.alpha = Some(alpha);
+        let count = rows as usize * cols as usize;
+        let (planes, alpha) = match self.kind {
+            Kind::Height => (Planes::Height(vec![f32::NAN; count]), None),
+            Kind::Color | Kind::Normal => {
+                (Planes::Color(std::array::from_fn(|_| vec![0; count])), Some(vec![0; count]))
+            }
+        };
+        let mut leaf = Leaf { rows: rows as usize, cols: cols as usize, planes, alpha };
+        let mut is_opaque = false;
+        for (part, overlap) in overlaps {
+            let filled = part.read_into(&mut leaf, place, &overlap)?;
+            let covers = overlap.len() == count;
+            // A translucent texel over an opaque one is translucent.
+            is_opaque = match filled {
+                Filled::All => is_opaque || covers,
+                Filled::Part => false,
+                Filled::Nothing => is_opaque,
+            };
         }
-        Ok(Some(raw))
+        if is_opaque {
+            leaf.alpha = None;
+            return Ok(Some(leaf));
+        }
+        Ok(leaf.settled())
+    }
+}
+
+impl Leaf {
+    /// The leaf with what alpha it needs; `None` if nothing is valid.
+    fn settled(mut self) -> Option<Self> {
+        let alpha = self.alpha.take().unwrap_or_else(|| match &self.planes {
+            Planes::Height(heights) => {
+                heights.iter().map(|height| if height.is_nan() { 0 } else { u8::MAX }).collect()
+            }
+            Planes::Color([red, ..]) => vec![u8::MAX; red.len()],
+        });
+        let (least, greatest) = alpha.iter().fold((u8::MAX, 0), |(least, greatest), &alpha| {
+            (alpha.min(least), alpha.max(greatest))
+        });
+        self.alpha = (least < u8::MAX).then_some(alpha);
+        (greatest > 0).then_some(self)
+    }
+}
+
+impl Leaves for Mosaic {
+    fn read(&self, page: PageAddress) -> Result<Option<Raw>, RasterError> {
+        let Some(Leaf { rows, cols, planes, alpha }) = self.read_planes(page)? else {
+            return Ok(None);
+        };
+        let planes = match planes {
+            Planes::Height(heights) => vec![heights],
+            Planes::Color(planes) => {
+                let texel = |(at, &code): (usize, &u8)| match &alpha {
+                    Some(alpha) if alpha[at] == 0 => f32::NAN,
+                    _ => f32::from(code),
+                };
+                planes.map(|codes| codes.iter().enumerate().map(texel).collect()).into()
+            }
+        };
+        Ok(Some(Raw { rows, cols, planes, alpha }))
+    }
+}
+
+/// What a raster and a leaf share.
+struct Overlap {
+    /// In the raster's own pixels.
+    cols: Range<u32>,
+    rows: Range<u32>,
+}
+
+impl Overlap {
+    fn len(&self) -> usize {
+        self.cols.len() * self.rows.len()
     }
 }
 
 impl Part {
-    /// Lays this raster's pixels over the leaf whose first texel is at (`top`, `left`).
-    fn read_into(
-        &self,
-        raw: &mut Raw,
-        (top, left): (u32, u32),
-        kind: Kind,
-    ) -> Result<(), RasterError> {
-        // The overlap in the raster's own pixels.
-        let overlap = |leaf: u32, length: usize, part: u32, used: u32| {
-            let length = u32::try_from(length).expect("a page's side");
+    fn overlap(&self, leaf: Place) -> Option<Overlap> {
+        let shared = |leaf: u32, length: u32, part: u32, used: u32| {
             let start = leaf.saturating_sub(part);
             let end = (leaf + length).saturating_sub(part).min(used);
-            start..end.max(start)
+            (start < end).then_some(start..end)
         };
-        let rows = overlap(top, raw.rows, self.row, self.height);
-        let cols = overlap(left, raw.cols, self.col, self.width);
-        if rows.is_empty() || cols.is_empty() {
-            return Ok(());
-        }
+        let rows = shared(leaf.row, leaf.height, self.row, self.height)?;
+        let cols = shared(leaf.col, leaf.width, self.col, self.width)?;
+        Some(Overlap { cols, rows })
+    }
+
+    /// Lays this raster's pixels over the leaf at `place`, where it has data.
+    fn read_into(
+        &self,
+        leaf: &mut Leaf,
+        place: Place,
+        Overlap { cols, rows }: &Overlap,
+    ) -> Result<Filled, RasterError> {
         let info = self.raster.info();
+        let mut all: Option<Filled> = None;
         for block_row in rows.start / info.block_height..=(rows.end - 1) / info.block_height {
             for block_col in cols.start / info.block_width..=(cols.end - 1) / info.block_width {
                 let block = self.blocks.get(block_col, block_row)?;
-                let (first_row, first_col) = (block.row.max(rows.start), block.col.max(cols.start));
-                let cut = block.cut(
-                    first_col..(block.col + block.width).min(cols.end),
-                    first_row..(block.row + block.height).min(rows.end),
-                );
-                let to_row = (self.row + first_row - top) as usize;
-                let to_col = (self.col + first_col - left) as usize;
-                lay(raw, &cut, info, kind, (to_row, to_col))?;
+                let whole = Window::of(&block);
+                let window = Window {
+                    cols: whole.cols.start.max(cols.start)..whole.cols.end.min(cols.end),
+                    rows: whole.rows.start.max(rows.start)..whole.rows.end.min(rows.end),
+                };
+                let to_row = (self.row + window.rows.start - place.row) as usize;
+                let to_col = (self.col + window.cols.start - place.col) as usize;
+                let (at, stride) = (to_row * leaf.cols + to_col, leaf.cols);
+                let filled = match &mut leaf.planes {
+                    Planes::Height(out) => {
+                        heights_into(&block, info, &window, &mut out[at..], stride)
+                    }
+                    Planes::Color(planes) => {
+                        let planes = planes.each_mut().map(|plane| &mut plane[at..]);
+                        let alpha = leaf.alpha.as_mut().expect("colors are read with their alpha");
+                        colors_into(&block, info, &window, planes, &mut alpha[at..], stride)?
+                    }
+                };
+                all = Some(match all {
+                    Some(before) if before != filled => Filled::Part,
+                    _ => filled,
+                });
                 drop(block);
                 self.blocks.release(block_col, block_row);
             }
         }
-        Ok(())
+        Ok(all.unwrap_or(Filled::Nothing))
     }
-}
-
-/// Lays the valid pixels of `block` over a leaf, its first one at (`row`, `col`).
-fn lay(
-    raw: &mut Raw,
-    block: &Block,
-    info: &RasterInfo,
-    kind: Kind,
-    (row, col): (usize, usize),
-) -> Result<(), RasterError> {
-    let (width, height) = (block.width as usize, block.height as usize);
-    let alpha = raw.alpha.as_mut().expect("it is there while the leaf is read");
-    let at = |pixel: usize| (row + pixel / width) * raw.cols + col + pixel % width;
-    match kind {
-        Kind::Height => {
-            let mut heights = vec![0.0; width * height];
-            heights_into(block, info, &mut heights);
-            for (pixel, height) in heights.into_iter().enumerate() {
-                if !height.is_nan() {
-                    raw.planes[0][at(pixel)] = height;
-                    alpha[at(pixel)] = u8::MAX;
-                }
-            }
-        }
-        Kind::Color | Kind::Normal => {
-            let mut colors = vec![[0; 3]; width * height];
-            let mut opacity = vec![0; width * height];
-            colors_into(block, info, &mut colors, &mut opacity)?;
-            for (pixel, (color, opacity)) in colors.into_iter().zip(opacity).enumerate() {
-                if opacity != 0 {
-                    for (plane, code) in raw.planes.iter_mut().zip(color) {
-                        plane[at(pixel)] = f32::from(code);
-                    }
-                    alpha[at(pixel)] = opacity;
-                }
-            }
-        }
-    }
-    Ok(())
 }

@@ -184,7 +184,8 @@ fn damaged(
 
 #[cfg(test)]
 mod tests {
-    use super::super::{colors_into, heights_into, open};
+    use super::super::convert::{whole_colors, whole_heights};
+    use super::super::open;
     use super::*;
     use areoid_formats::body::Body;
     use image::{ExtendedColorType, ImageBuffer, Luma, Rgba};
@@ -214,8 +215,7 @@ mod tests {
         assert_eq!((info.outline.origin, info.crs), ([-60.0, 70.0], None));
         let block = raster.read_block(0, 2).unwrap();
         assert_eq!((block.row, block.height), (128, 12));
-        let mut heights = vec![0.0; 120 * 12];
-        heights_into(&block, info, &mut heights);
+        let heights = whole_heights(&block, info);
         assert_eq!(heights[120 + 3], 3.0 * 200.0 + 129.0);
     }
 
@@ -246,9 +246,8 @@ mod tests {
         let options = ReadOptions { extent: Some([0.0, 0.0, 2.0, 1.0]), ..ReadOptions::default() };
         let raster = open(&path, &options).unwrap();
         let block = raster.read_block(0, 0).unwrap();
-        let (mut rgb, mut alpha) = ([[0; 3]; 2], [9; 2]);
-        colors_into(&block, raster.info(), &mut rgb, &mut alpha).unwrap();
-        assert_eq!((rgb[0], alpha), ([9, 8, 7], [1, 0]));
+        let (rgb, alpha) = whole_colors(&block, raster.info()).unwrap();
+        assert_eq!((rgb[0], &alpha[..]), ([9, 8, 7], &[1, 0][..]));
     }
 
     #[test]

@@ -28,7 +28,6 @@ mod tiff;
 mod world_file;
 
 use std::fmt::Debug;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use areoid_formats::body::Body;
@@ -36,7 +35,7 @@ use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::projection::Crs;
 
 pub use self::block_cache::BlockCache;
-pub use self::convert::{colors_into, heights_into};
+pub use self::convert::{Filled, Window, colors_into, heights_into};
 pub use self::error::RasterError;
 pub use self::outline::Outline;
 pub use self::samples::{SampleType, Samples};
@@ -114,25 +113,6 @@ pub struct Block {
     pub height: u32,
     /// Rows from the top, pixels from the left, bands side by side with alpha last.
     pub samples: Samples,
-}
-
-impl Block {
-    /// The part of the block in `cols` and `rows` of the raster.
-    ///
-    /// # Panics
-    ///
-    /// If that does not lie in the block.
-    #[must_use]
-    pub(crate) fn cut(&self, cols: Range<u32>, rows: Range<u32>) -> Self {
-        let pixels = self.width as usize * self.height as usize;
-        let stride = self.samples.len() / pixels.max(1);
-        let columns =
-            (cols.start - self.col) as usize * stride..(cols.end - self.col) as usize * stride;
-        let lines = (rows.start - self.row) as usize..(rows.end - self.row) as usize;
-        let samples = self.samples.cut(self.width as usize * stride, columns, lines);
-        let (width, height) = (cols.end - cols.start, rows.end - rows.start);
-        Self { col: cols.start, row: rows.start, width, height, samples }
-    }
 }
 
 /// An open raster.
