@@ -14,7 +14,8 @@ use areoid_formats::pyramid::Pyramid;
 
 use crate::build::Leaves;
 use crate::raster::{
-    BlockCache, Filled, Raster, RasterError, RasterInfo, Window, colors_into, heights_into,
+    BlockCache, Filled, Overflow, Raster, RasterError, RasterInfo, Window, colors_into,
+    heights_into,
 };
 use crate::tile::Raw;
 
@@ -181,6 +182,22 @@ impl Mosaic {
             })
             .collect::<Result<_, MosaicError>>()?;
         Ok(Self { grid, kind, parts })
+    }
+
+    /// The mosaic with a budget for the blocks of all its rasters together: what is beyond it is
+    /// set aside.
+    ///
+    /// # Panics
+    ///
+    /// If a leaf has been read already.
+    #[must_use]
+    pub fn spilling(mut self, overflow: &Arc<Overflow>) -> Self {
+        let spilling = |part: Part| {
+            let blocks = part.blocks.spilling(Arc::clone(overflow));
+            Part { blocks, ..part }
+        };
+        self.parts = self.parts.into_iter().map(spilling).collect();
+        self
     }
 
     /// The grid on which the leaves are the rasters' pixels.
