@@ -417,3 +417,6 @@ impl Part {
         Ok(all.unwrap_or(Filled::Nothing))
     }
 }
+
+#[cfg(test)]
+mod tests;

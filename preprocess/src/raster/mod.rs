@@ -138,6 +138,15 @@ pub trait Raster: Send + Sync + Debug {
     ///
     /// If the raster has no such block; [`RasterInfo::blocks`] says how many there are.
     fn read_block(&self, block_col: u32, block_row: u32) -> Result<Block, RasterError>;
+
+    /// Checks that the raster's files are what they were when they were opened: the open file, the
+    /// one that now has its name, and the world file and `.prj` that were read.
+    ///
+    /// # Errors
+    ///
+    /// [`RasterError::Modified`] if one differs in identity, length or times;
+    /// [`RasterError::Io`] if one cannot be looked at.
+    fn check_unchanged(&self) -> Result<(), RasterError>;
 }
 
 /// What the caller knows better than the file.
@@ -173,7 +182,7 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn Raster>, Raste
     if start.starts_with(b"II") || start.starts_with(b"MM") {
         Ok(Box::new(tiff::TiffRaster::open(file, options)?))
     } else if start.starts_with(b"\xff\xd8\xff") || start.starts_with(b"\x89PNG\r\n\x1a\n") {
-        Ok(Box::new(image::ImageRaster::open(path, options)?))
+        Ok(Box::new(image::ImageRaster::open(file, options)?))
     } else {
         let found = if start.is_empty() {
             "nothing: it is empty".to_owned()

@@ -111,7 +111,7 @@ fn a_stream_shorter_than_the_output_is_an_error() {
 
 #[test]
 fn no_damaged_byte_goes_unnoticed() {
-    for bytes in kinds(400) {
+    for bytes in kinds(150) {
         for level in [0, 6] {
             let stream = deflated(&bytes, level);
             for at in 0..stream.len() {
@@ -120,9 +120,9 @@ fn no_damaged_byte_goes_unnoticed() {
                     wrong[at] ^= 1 << bit;
                     // A flipped bit may be one that pads a byte or make the stream a longer one;
                     // and the checksum is a weak one: some triples of bytes change it by nothing.
-                    let Ok(out) = inflated(&wrong, 400) else { continue };
+                    let Ok(out) = inflated(&wrong, 150) else { continue };
                     let mut bits = Bits::new(&wrong[2..]);
-                    let filled = Inflater::default().blocks(&mut bits, &mut [0; 400]);
+                    let filled = Inflater::default().blocks(&mut bits, &mut [0; 150]);
                     let unchecked = filled == Ok(Filled::StreamGoesOn) || bits.rest().len() < 4;
                     let same = adler32(&out) == adler32(&bytes);
                     assert!(same || unchecked, "bit {bit} of byte {at}");

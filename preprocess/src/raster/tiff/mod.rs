@@ -20,7 +20,7 @@ use self::directory::{Directory, TiffFile, tags};
 use self::geokeys::GeoKeys;
 use self::layout::{Meaning, Pixel};
 use super::error::RasterError;
-use super::file::PositionedFile;
+use super::file::{PositionedFile, Witness};
 use super::georeference;
 use super::outline::Rows;
 use super::samples::{Sample, Samples, with_samples};
@@ -43,6 +43,8 @@ pub(super) struct TiffRaster {
     pixel: Pixel,
     chunks: Chunks,
     rows: Rows,
+    /// Files that say where it lies.
+    beside: Vec<Witness>,
 }
 
 impl TiffRaster {
@@ -95,7 +97,7 @@ impl TiffRaster {
             block_width: chunks.width,
             block_height: chunks.height.saturating_mul(strips).min(size.1.max(chunks.height)),
         };
-        Ok(Self { tiff, info, pixel, chunks, rows: placed.rows })
+        Ok(Self { tiff, info, pixel, chunks, rows: placed.rows, beside: placed.beside })
     }
 
     /// Samples of a window of the file, in the file's own order of rows.
@@ -280,6 +282,11 @@ impl Raster for TiffRaster {
             }
         };
         Ok(Block { col, row, width, height, samples: self.bands_of(samples) })
+    }
+
+    fn check_unchanged(&self) -> Result<(), RasterError> {
+        self.tiff.file.check_unchanged()?;
+        self.beside.iter().try_for_each(Witness::check_unchanged)
     }
 }
 
