@@ -148,7 +148,7 @@ impl Alphabet for Symbols {
 }
 
 impl Alphabet for Distances {
-    const BITS: u32 = 9;
+    const BITS: u32 = 10;
     const MEANINGS: [Entry; 288] = {
         let mut meanings = [NONE; 288];
         let (mut symbol, mut base) = (0_u32, 1);

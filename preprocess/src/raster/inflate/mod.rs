@@ -2,12 +2,13 @@
 //!
 //! ```text
 //!   78 9c │ block │ block │ .. │ last block │ Adler-32
-//!           └ bits ──▶ table of 2^11 entries ──▶ up to three literals at once, or a match
+//!           └ bits ──▶ table of 2^10 entries ──▶ up to three literals and a match at once
 //! ```
 //!
-//! Samples after a predictor are mostly literals of few bits: two or three codes together fit an
-//! index of the table, and each lookup costs the same whatever it yields. That makes this faster
-//! on terrain than general inflaters, which besides must be able to stop anywhere and go on later.
+//! Terrain after a predictor is short matches with a literal or two between them, in no order that a
+//! processor could guess. So an entry of the table holds the literals and the match behind them, as
+//! far as its index reaches, and each step is the same whatever it yields. That makes this faster
+//! than general inflaters, which besides must be able to stop anywhere and go on later.
 //!
 //! The stream may claim anything: it writes into the buffer and nowhere else, and allocates nothing.
 //!
@@ -51,7 +52,7 @@ const FAST_ROOM: usize = 4 + 258 + 2 * CHUNK;
 /// Bytes copied at once.
 const CHUNK: usize = 16;
 
-/// Tables that are filled anew for every block, 11 KiB; kept by the caller so that they are not
+/// Tables that are filled anew for every block, 20 KiB; kept by the caller so that they are not
 /// made anew for every stream.
 #[derive(Debug)]
 pub(crate) struct Inflater {
