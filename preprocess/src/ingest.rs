@@ -22,8 +22,8 @@ use crate::build_error::BuildError;
 use crate::feather::FEATHER_TEXELS;
 use crate::mosaic::{Mosaic, MosaicError};
 use crate::note::Note;
-use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
-use crate::scratch::Scratch;
+use crate::raster::{self, Overflow, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
+use crate::scratch::{Aside, Scratch};
 
 /// Leaf pages along a side of a work unit.
 pub const UNIT_PAGES: u32 = 8;
@@ -192,7 +192,7 @@ pub fn ingest(
         Err(CatalogError::NotACatalog { .. }) => None,
         Err(error) => return Err(error.into()),
     };
-    let (description, mosaic) = plan(request, catalog.as_ref())?;
+    let (description, mut mosaic) = plan(request, catalog.as_ref())?;
     let extent = description.grid.pyramid().extent();
     let mut outcome = Outcome {
         dataset: description.dataset.clone(),
@@ -216,7 +216,7 @@ pub fn ingest(
 
     let (mut build, begun) = begin(disk, request, &description)?;
     outcome.resumed_units = begun.as_ref().map_or(0, |begun| begun.archive.units);
-    let written = match write(request, &description, &mosaic, (&mut build, begun), watch) {
+    let written = match write(request, &description, &mut mosaic, (&mut build, begun), watch) {
         Ok(written) => written,
         Err(error) => {
             if !error.can_be_resumed() {
@@ -291,7 +291,7 @@ impl Site for Buffered<'_, '_> {
 fn write(
     request: &Request,
     description: &Description,
-    mosaic: &Mosaic,
+    mosaic: &mut Mosaic,
     (build, begun): (&mut Build<'_>, Option<Begun>),
     watch: impl FnMut(Progress) -> Proceed + Send,
 ) -> Result<Written, IngestError> {
@@ -306,14 +306,18 @@ fn write(
     let named = begun.as_ref().and_then(|begun| begun.note.as_ref()).map(Note::slots);
     let scratch = Scratch::new(build.scratch()?, &named.unwrap_or_default());
     let scratch = scratch.map_err(|error| failed(BuildError::Scratch(error)))?;
-    let means = Means {
-        scratch: Arc::new(scratch),
-        frontier_bytes: request.memory_bytes.saturating_sub(step_bytes(description)),
-        note_every: request.note_every,
-    };
+    let scratch = Arc::new(scratch);
+    let spare_bytes = request.memory_bytes.saturating_sub(step_bytes(description));
+    // A quarter for the rasters' blocks, which wait only where strips are wide.
+    let aside = Arc::new(Aside::new(Arc::clone(&scratch)));
+    mosaic.spill(&Arc::new(Overflow::new(aside, spare_bytes / 4)));
+    let frontier_bytes = spare_bytes - spare_bytes / 4;
+    let means = Means { scratch, frontier_bytes, note_every: request.note_every };
+    let mosaic = &*mosaic;
     let site = Buffered(BufWriter::with_capacity(1 << 20, build));
     let built = threads.install(|| build::build(description, mosaic, site, &means, begun, watch));
     let (site, written) = built.map_err(failed)?;
+    mosaic.check_unchanged()?;
     site.0.into_inner().map_err(|error| failed(BuildError::Write(error.into_error())))?;
     Ok(written)
 }

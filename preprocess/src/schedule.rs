@@ -306,8 +306,7 @@ mod tests {
             globe(64, 32, PoleContact::Outline),
             globe(64, 33, PoleContact::Posts),
             globe(128, 64, PoleContact::Outline),
-            globe(512, 256, PoleContact::Outline),
-            globe(320, 161, PoleContact::Posts),
+            globe(192, 97, PoleContact::Posts),
             globe(40, 30, none),
             Extent { south: none, ..globe(96, 41, PoleContact::Outline) },
         ];

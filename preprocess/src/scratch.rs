@@ -10,14 +10,16 @@
 //!
 //! Any thread may call anything; writing and reading different slots do not wait for one another.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::File;
 use std::io;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use areoid_formats::storage::{ByteSource as _, FileSource};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::{Xxh3, xxh3_64};
+
+use crate::raster::{Spill, Ticket};
 
 /// Slots start and end at multiples of this many bytes.
 const BLOCK: u64 = 4096;
@@ -115,11 +117,24 @@ impl Scratch {
         let length = usize::try_from(slot.length)
             .map_err(|_| io::Error::other("a slot larger than the address space"))?;
         let mut bytes = vec![0; length];
-        self.source.read_exact_at(&mut bytes, slot.offset)?;
-        if xxh3_64(&bytes) != slot.checksum {
+        self.get_into(slot, &mut bytes)?;
+        Ok(bytes)
+    }
+
+    /// [`Self::get`] into a buffer of the length stored.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::get`].
+    pub fn get_into(&self, slot: Slot, bytes: &mut [u8]) -> io::Result<()> {
+        if slot.length != bytes.len() as u64 {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "a buffer of another length"));
+        }
+        self.source.read_exact_at(bytes, slot.offset)?;
+        if xxh3_64(bytes) != slot.checksum {
             return Err(io::Error::new(io::ErrorKind::InvalidData, "the scratch file is damaged"));
         }
-        Ok(bytes)
+        Ok(())
     }
 
     /// Gives a slot up.
@@ -145,6 +160,44 @@ impl Scratch {
     /// Those of the file system.
     pub fn sync(&self) -> io::Result<()> {
         self.file.sync_data()
+    }
+}
+
+/// Blocks of rasters set aside in a [`Scratch`].
+#[derive(Debug)]
+pub struct Aside {
+    scratch: Arc<Scratch>,
+    /// By their offset, which is their ticket.
+    slots: Mutex<HashMap<u64, Slot>>,
+}
+
+impl Aside {
+    /// Sets aside in `scratch`.
+    #[must_use]
+    pub fn new(scratch: Arc<Scratch>) -> Self {
+        Self { scratch, slots: Mutex::default() }
+    }
+
+    fn slots(&self) -> MutexGuard<'_, HashMap<u64, Slot>> {
+        self.slots.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Spill for Aside {
+    fn store(&self, bytes: &[u8]) -> io::Result<Ticket> {
+        let slot = self.scratch.put(&[bytes])?;
+        self.slots().insert(slot.offset, slot);
+        Ok(Ticket(slot.offset))
+    }
+
+    fn load(&self, ticket: Ticket, bytes: &mut [u8]) -> io::Result<()> {
+        let slot = self.slots().get(&ticket.0).copied();
+        self.scratch.get_into(slot.ok_or(io::ErrorKind::NotFound)?, bytes)
+    }
+
+    fn free(&self, ticket: Ticket) {
+        let slot = self.slots().remove(&ticket.0);
+        slot.into_iter().for_each(|slot| self.scratch.free(slot));
     }
 }
 
@@ -205,6 +258,7 @@ fn write_at(file: &File, mut bytes: &[u8], mut offset: u64) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::raster::block_cache::test_support::keeps_the_contract;
     use proptest::prelude::*;
 
     fn scratch() -> Scratch {
@@ -248,6 +302,11 @@ mod tests {
                 prop_assert_eq!(&again.get(*slot).unwrap(), bytes);
             }
         }
+    }
+
+    #[test]
+    fn blocks_set_aside_keep_the_contract() {
+        keeps_the_contract(&Aside::new(Arc::new(scratch())));
     }
 
     #[test]

@@ -196,10 +196,8 @@ impl Texel for u8 {
         payload: &mut Vec<u8>,
     ) -> Result<(), EncodeError> {
         let side = description.grid.pyramid().page_side() as usize;
-        let [red, green, blue] = [0, 1, 2].map(|channel| &planes[channel]);
-        let texels: Vec<[u8; 3]> =
-            red.iter().zip(green).zip(blue).map(|((&r, &g), &b)| [r, g, b]).collect();
-        codec::encode_colors_into(&texels, coverage, side, scratch, payload)
+        let planes = [0, 1, 2].map(|channel| &planes[channel][..]);
+        codec::encode_color_planes_into(planes, coverage, side, scratch, payload)
     }
 }
 

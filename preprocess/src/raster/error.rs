@@ -8,7 +8,8 @@ use super::crs::ParseCrsError;
 /// A raster that cannot be opened or read.
 ///
 /// The first four are faults of the *file*, the next four mean that nothing is wrong with it but
-/// that this program cannot use it as it is, the last is the machine's.
+/// that this program cannot use it as it is, the last two are the machine's and whoever else uses
+/// it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RasterError {
@@ -110,6 +111,15 @@ pub enum RasterError {
         found: String,
         /// What it may be.
         expected: String,
+    },
+
+    /// Somebody wrote to the file, or put another in its place.
+    #[error("{} was modified while it was read: {change}", path.display())]
+    Modified {
+        /// The file.
+        path: PathBuf,
+        /// How it differs from what was opened.
+        change: String,
     },
 
     /// The operating system refused.

@@ -9,7 +9,7 @@ use areoid_formats::projection::{Crs, Projection};
 use super::ReadOptions;
 use super::crs::{MapCrs, ParseCrsError};
 use super::error::RasterError;
-use super::file::read_text;
+use super::file::{Witness, read_text};
 use super::outline::{Outline, Rows, Steps};
 use super::world_file;
 
@@ -20,11 +20,13 @@ use super::world_file;
 const LOCAL_RADIUS_WITHIN: f64 = 0.01;
 
 /// Where a raster lies.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Placed {
     pub(crate) crs: Option<Crs>,
     pub(crate) outline: Outline,
     pub(crate) rows: Rows,
+    /// The files beside the raster that say so.
+    pub(crate) beside: Vec<Witness>,
 }
 
 /// Places a raster of `size` pixels.
@@ -38,19 +40,26 @@ pub(crate) fn place(
     own_steps: Option<Steps>,
     own_crs: impl FnOnce() -> Result<Option<MapCrs>, RasterError>,
 ) -> Result<Placed, RasterError> {
+    let mut beside = Vec::new();
     let map = match &options.crs {
         Some(text) => Some(
             MapCrs::from_text_or_file(text).map_err(|source| crs_error(path, "--crs", source))?,
         ),
         None => match own_crs()? {
             Some(map) => Some(map),
-            None => crs_beside(path)?,
+            None => crs_beside(path)?.map(|(map, witness)| {
+                beside.push(witness);
+                map
+            }),
         },
     };
     let steps = match own_steps {
         Some(steps) => Some(steps),
         None if options.extent.is_some() => None,
-        None => world_file::read_beside(path)?,
+        None => world_file::read_beside(path)?.map(|(steps, witness)| {
+            beside.push(witness);
+            steps
+        }),
     };
     let (outline, rows) = match (options.extent, steps) {
         (Some(extent), steps) => {
@@ -82,7 +91,7 @@ pub(crate) fn place(
     if let Some(crs) = &crs {
         check_latitudes(path, size, &outline, crs)?;
     }
-    Ok(Placed { crs, outline, rows })
+    Ok(Placed { crs, outline, rows, beside })
 }
 
 fn placed_by_steps(
@@ -107,12 +116,12 @@ fn placed_by_steps(
 }
 
 /// The system in a `.prj` file beside the raster.
-fn crs_beside(path: &Path) -> Result<Option<MapCrs>, RasterError> {
+fn crs_beside(path: &Path) -> Result<Option<(MapCrs, Witness)>, RasterError> {
     for candidate in prj_candidates(path) {
-        if let Some(text) = read_text(&candidate)? {
+        if let Some((text, witness)) = read_text(&candidate)? {
             let name = candidate.display().to_string();
             return MapCrs::from_text(&text)
-                .map(Some)
+                .map(|map| Some((map, witness)))
                 .map_err(|source| crs_error(path, name, source));
         }
     }

@@ -12,6 +12,7 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader, Limits};
 
 use super::error::RasterError;
+use super::file::{PositionedFile, Witness};
 use super::georeference;
 use super::outline::Rows;
 use super::samples::{SampleType, Samples};
@@ -26,15 +27,20 @@ const BLOCK_ROWS: u32 = 64;
 /// An open JPEG or PNG.
 #[derive(Debug)]
 pub(super) struct ImageRaster {
+    /// Open for as long as the raster is, so that a file of the same name is known for another.
+    file: PositionedFile,
     info: RasterInfo,
     rows: Rows,
+    /// Files that say where it lies.
+    beside: Vec<Witness>,
     decoded: OnceLock<Samples>,
     /// Held by the thread that decodes.
     decoding: Mutex<()>,
 }
 
 impl ImageRaster {
-    pub(super) fn open(path: &Path, options: &ReadOptions) -> Result<Self, RasterError> {
+    pub(super) fn open(file: PositionedFile, options: &ReadOptions) -> Result<Self, RasterError> {
+        let path = file.path();
         let decoder =
             reader(path)?.into_decoder().map_err(|error| image_error(path, "header", error))?;
         let size = decoder.dimensions();
@@ -79,7 +85,7 @@ impl ImageRaster {
             block_height: BLOCK_ROWS.min(size.1),
         };
         let (decoded, decoding) = (OnceLock::new(), Mutex::new(()));
-        Ok(Self { info, rows: placed.rows, decoded, decoding })
+        Ok(Self { info, rows: placed.rows, beside: placed.beside, decoded, decoding, file })
     }
 
     /// The whole image, decoded by the first who asks.
@@ -144,6 +150,11 @@ impl Raster for ImageRaster {
         };
         Ok(Block { col, row, width, height, samples })
     }
+
+    fn check_unchanged(&self) -> Result<(), RasterError> {
+        self.file.check_unchanged()?;
+        self.beside.iter().try_for_each(Witness::check_unchanged)
+    }
 }
 
 /// A copy of some rows, in the order in which they are handed out.
@@ -184,7 +195,8 @@ fn damaged(
 
 #[cfg(test)]
 mod tests {
-    use super::super::{colors_into, heights_into, open};
+    use super::super::convert::{whole_colors, whole_heights};
+    use super::super::open;
     use super::*;
     use areoid_formats::body::Body;
     use image::{ExtendedColorType, ImageBuffer, Luma, Rgba};
@@ -214,8 +226,7 @@ mod tests {
         assert_eq!((info.outline.origin, info.crs), ([-60.0, 70.0], None));
         let block = raster.read_block(0, 2).unwrap();
         assert_eq!((block.row, block.height), (128, 12));
-        let mut heights = vec![0.0; 120 * 12];
-        heights_into(&block, info, &mut heights);
+        let heights = whole_heights(&block, info);
         assert_eq!(heights[120 + 3], 3.0 * 200.0 + 129.0);
     }
 
@@ -246,9 +257,8 @@ mod tests {
         let options = ReadOptions { extent: Some([0.0, 0.0, 2.0, 1.0]), ..ReadOptions::default() };
         let raster = open(&path, &options).unwrap();
         let block = raster.read_block(0, 0).unwrap();
-        let (mut rgb, mut alpha) = ([[0; 3]; 2], [9; 2]);
-        colors_into(&block, raster.info(), &mut rgb, &mut alpha).unwrap();
-        assert_eq!((rgb[0], alpha), ([9, 8, 7], [1, 0]));
+        let (rgb, alpha) = whole_colors(&block, raster.info()).unwrap();
+        assert_eq!((rgb[0], &alpha[..]), ([9, 8, 7], &[1, 0][..]));
     }
 
     #[test]
@@ -256,6 +266,21 @@ mod tests {
         let (_folder, path) = saved("a.png", None);
         let error = open(&path, &ReadOptions::default()).unwrap_err().to_string();
         assert!(error.contains("a.pgw") && error.contains("a.WLD"), "{error}");
+    }
+
+    #[test]
+    fn a_world_file_written_to_is_told() {
+        let (_folder, path) = saved("a.png", Some(WORLD));
+        let raster = open(&path, &ReadOptions::default()).unwrap();
+        raster.read_block(0, 0).unwrap();
+        raster.check_unchanged().unwrap();
+        std::fs::write(path.with_extension("wld"), "1 0 0 -1 -59.5 69.5 ").unwrap();
+        let error = raster.check_unchanged().unwrap_err().to_string();
+        assert!(error.contains("a.wld was modified while it was read"), "{error}");
+        let raster = open(&path, &ReadOptions::default()).unwrap();
+        std::fs::write(&path, "no image").unwrap();
+        let error = raster.check_unchanged().unwrap_err().to_string();
+        assert!(error.contains("a.png was modified while it was read"), "{error}");
     }
 
     #[test]

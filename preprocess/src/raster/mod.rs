@@ -27,15 +27,14 @@ mod tiff;
 mod world_file;
 
 use std::fmt::Debug;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use areoid_formats::body::Body;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::projection::Crs;
 
-pub use self::block_cache::BlockCache;
-pub use self::convert::{colors_into, heights_into};
+pub use self::block_cache::{BlockCache, Overflow, Spill, Ticket};
+pub use self::convert::{Filled, Window, colors_into, heights_into};
 pub use self::error::RasterError;
 pub use self::outline::Outline;
 pub use self::samples::{SampleType, Samples};
@@ -115,25 +114,6 @@ pub struct Block {
     pub samples: Samples,
 }
 
-impl Block {
-    /// The part of the block in `cols` and `rows` of the raster.
-    ///
-    /// # Panics
-    ///
-    /// If that does not lie in the block.
-    #[must_use]
-    pub(crate) fn cut(&self, cols: Range<u32>, rows: Range<u32>) -> Self {
-        let pixels = self.width as usize * self.height as usize;
-        let stride = self.samples.len() / pixels.max(1);
-        let columns =
-            (cols.start - self.col) as usize * stride..(cols.end - self.col) as usize * stride;
-        let lines = (rows.start - self.row) as usize..(rows.end - self.row) as usize;
-        let samples = self.samples.cut(self.width as usize * stride, columns, lines);
-        let (width, height) = (cols.end - cols.start, rows.end - rows.start);
-        Self { col: cols.start, row: rows.start, width, height, samples }
-    }
-}
-
 /// An open raster.
 ///
 /// # Contract
@@ -157,6 +137,15 @@ pub trait Raster: Send + Sync + Debug {
     ///
     /// If the raster has no such block; [`RasterInfo::blocks`] says how many there are.
     fn read_block(&self, block_col: u32, block_row: u32) -> Result<Block, RasterError>;
+
+    /// Checks that the raster's files are what they were when they were opened: the open file, the
+    /// one that now has its name, and the world file and `.prj` that were read.
+    ///
+    /// # Errors
+    ///
+    /// [`RasterError::Modified`] if one differs in identity, length or times;
+    /// [`RasterError::Io`] if one cannot be looked at.
+    fn check_unchanged(&self) -> Result<(), RasterError>;
 }
 
 /// What the caller knows better than the file.
@@ -192,7 +181,7 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn Raster>, Raste
     if start.starts_with(b"II") || start.starts_with(b"MM") {
         Ok(Box::new(tiff::TiffRaster::open(file, options)?))
     } else if start.starts_with(b"\xff\xd8\xff") || start.starts_with(b"\x89PNG\r\n\x1a\n") {
-        Ok(Box::new(image::ImageRaster::open(path, options)?))
+        Ok(Box::new(image::ImageRaster::open(file, options)?))
     } else {
         let found = if start.is_empty() {
             "nothing: it is empty".to_owned()

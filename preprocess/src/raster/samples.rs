@@ -1,7 +1,5 @@
 //! Samples as a file stores them: the types, and arrays of them.
 
-use std::ops::Range;
-
 /// The type of every sample of a raster.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[expect(missing_docs, reason = "each type is named after the Rust type that holds it")]
@@ -85,27 +83,16 @@ impl Samples {
         }
     }
 
-    /// Columns `cols` of lines `lines`, in lines of `width` samples.
-    pub(crate) fn cut(&self, width: usize, cols: Range<usize>, lines: Range<usize>) -> Self {
-        fn part<T: Copy>(
-            all: &[T],
-            width: usize,
-            cols: &Range<usize>,
-            lines: Range<usize>,
-        ) -> Vec<T> {
-            let lines = &all[lines.start * width..lines.end * width];
-            lines.chunks_exact(width).flat_map(|line| &line[cols.clone()]).copied().collect()
-        }
-        match self {
-            Self::U8(all) => Self::U8(part(all, width, &cols, lines)),
-            Self::I8(all) => Self::I8(part(all, width, &cols, lines)),
-            Self::U16(all) => Self::U16(part(all, width, &cols, lines)),
-            Self::I16(all) => Self::I16(part(all, width, &cols, lines)),
-            Self::U32(all) => Self::U32(part(all, width, &cols, lines)),
-            Self::I32(all) => Self::I32(part(all, width, &cols, lines)),
-            Self::F32(all) => Self::F32(part(all, width, &cols, lines)),
-            Self::F64(all) => Self::F64(part(all, width, &cols, lines)),
-        }
+    /// The samples as the host has them in memory.
+    #[must_use]
+    pub fn as_bytes(&self) -> &[u8] {
+        with_samples!(self, values => bytemuck::cast_slice(values))
+    }
+
+    /// See [`Self::as_bytes`].
+    #[must_use]
+    pub fn as_bytes_mut(&mut self) -> &mut [u8] {
+        with_samples!(self, values => bytemuck::cast_slice_mut(values))
     }
 
     /// How many samples there are, over all bands.

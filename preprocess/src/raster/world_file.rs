@@ -12,7 +12,7 @@
 use std::path::{Path, PathBuf};
 
 use super::error::RasterError;
-use super::file::read_text;
+use super::file::{Witness, read_text};
 use super::outline::Steps;
 
 /// The world files that could belong to a raster: `.jgw`, `.jpgw` and `.wld` for a `.jpg`, each in
@@ -34,10 +34,10 @@ pub(crate) fn candidates(path: &Path) -> Vec<PathBuf> {
 }
 
 /// The geotransform of the first world file there is.
-pub(crate) fn read_beside(path: &Path) -> Result<Option<Steps>, RasterError> {
+pub(crate) fn read_beside(path: &Path) -> Result<Option<(Steps, Witness)>, RasterError> {
     for candidate in candidates(path) {
-        if let Some(text) = read_text(&candidate)? {
-            return parse(&candidate, &text).map(Some);
+        if let Some((text, witness)) = read_text(&candidate)? {
+            return parse(&candidate, &text).map(|steps| Some((steps, witness)));
         }
     }
     Ok(None)

@@ -106,7 +106,7 @@ impl Chunks {
 
     /// Offset and length of the chunk at `(across, down)` of a plane; length 0 is a chunk that the
     /// file leaves out.
-    pub(crate) fn place(&self, plane: u16, across: u32, down: u32) -> (u64, u64) {
+    pub(crate) fn place(&self, plane: u32, across: u32, down: u32) -> (u64, u64) {
         let row = u64::from(plane) * u64::from(self.down) + u64::from(down);
         let index = row * u64::from(self.across) + u64::from(across);
         usize::try_from(index)
@@ -184,7 +184,7 @@ impl Chunks {
         let mut cut = Vec::new();
         for plane in 0..self.planes {
             for down in 0..self.down {
-                let (offset, bytes) = self.place(plane, 0, down);
+                let (offset, bytes) = self.place(plane.into(), 0, down);
                 let strip_rows = self.height.min(image_height - down * self.height);
                 let whole = row_bytes.checked_mul(strip_rows.into()) == Some(bytes)
                     && offset.checked_add(bytes).is_some_and(|end| end <= file_bytes);

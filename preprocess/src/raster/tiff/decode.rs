@@ -1,22 +1,28 @@
 //! One chunk of a TIFF file, from its bytes to samples.
 //!
-//! The `tiff` crate decodes it, as the only chunk of a file made up in memory: a directory that
-//! describes just this chunk, and the chunk's bytes behind it. So decoding needs no pool of
-//! decoders and no second table of offsets, any thread can do it, and what the crate would do to a
-//! whole raster (planes after the first dropped, palettes refused, white-is-zero inverted, extra
-//! samples dropped before the predictor is undone) cannot happen.
+//! ```text
+//!   bytes ──decompress──▶ encoded rows ──cut──▶ rows in the raster ──order, predictor──▶ samples
+//!              └── straight into the samples where nothing is cut ──┘
+//! ```
 //!
-//! ZSTD and LZW are decompressed before the crate sees the chunk: its ZSTD is a C library, and its
-//! LZW reader takes the end of some whole streams for an unexpected one (`tiff` 0.11.3: the last
-//! bytes come out when no input is left, which it calls no progress).
+//! Rows below the raster's edge are not decompressed. JPEG is left to the `tiff` crate; the rest is
+//! not, because that reads a chunk as a file, row by row, through buffers of its own. Its ZSTD is a
+//! C library besides, and its LZW reader takes the end of some whole streams for an unexpected one
+//! (`tiff` 0.11.3: the last bytes come out when no input is left, which it calls no progress).
 
-use std::io::{Cursor, Read};
+use std::cell::RefCell;
+use std::io::Read;
 
-use tiff::decoder::{Decoder, DecodingResult, Limits};
+use zune_inflate::errors::DecodeErrorStatus;
+use zune_inflate::{DeflateDecoder, DeflateOptions};
 
-use super::super::samples::{SampleType, Samples};
+use super::super::samples::SampleType;
 use super::directory::ByteOrder;
 use super::layout::Compression;
+use super::predictor;
+
+/// Buffers larger than this are given back after each chunk, in bytes.
+const KEPT_BYTES: usize = 16 << 20;
 
 /// What a chunk's bytes mean.
 #[derive(Clone, Copy, Debug)]
@@ -37,234 +43,208 @@ pub(super) struct ChunkShape<'tables> {
 /// Why a chunk does not decode.
 pub(super) type ChunkError = Box<dyn std::error::Error + Send + Sync>;
 
+/// What decoding needs besides its input and output, kept from chunk to chunk.
+#[derive(Debug, Default)]
+pub(super) struct Workspace {
+    encoded_rows: Vec<u8>,
+}
+
+/// What a thread keeps from block to block: a chunk as read, and the decoder's workspace.
+#[derive(Debug, Default)]
+pub(super) struct Scratch {
+    pub(super) chunk: Vec<u8>,
+    pub(super) workspace: Workspace,
+}
+
+impl Scratch {
+    /// Calls `read` with the scratch of this thread, which must not ask for it again.
+    pub(super) fn with<T>(read: impl FnOnce(&mut Self) -> T) -> T {
+        thread_local!(static SCRATCH: RefCell<Scratch> = RefCell::default());
+        SCRATCH.with_borrow_mut(|scratch| {
+            let result = read(scratch);
+            for buffer in [&mut scratch.chunk, &mut scratch.workspace.encoded_rows] {
+                if buffer.capacity() > KEPT_BYTES {
+                    *buffer = Vec::new();
+                }
+            }
+            result
+        })
+    }
+}
+
 impl ChunkShape<'_> {
     /// Bytes of the samples as encoded, before compression.
     pub(super) fn encoded_bytes(&self) -> u64 {
         let pixels = u64::from(self.encoded.0) * u64::from(self.encoded.1);
-        pixels.saturating_mul(u64::from(self.samples) * self.sample.bytes() as u64)
+        pixels.saturating_mul(self.pixel_bytes() as u64)
     }
 
-    /// Decodes a chunk of these bytes to `clipped` pixels.
-    pub(super) fn decode(&self, chunk: &[u8]) -> Result<Samples, ChunkError> {
+    /// Bytes of the samples inside the raster.
+    pub(super) fn clipped_bytes(&self) -> usize {
+        self.clipped.0 as usize * self.clipped.1 as usize * self.pixel_bytes()
+    }
+
+    fn pixel_bytes(&self) -> usize {
+        usize::from(self.samples) * self.sample.bytes()
+    }
+
+    /// Refuses a chunk that is too short for its samples, before they are allocated.
+    pub(super) fn check_length(&self, chunk: &[u8]) -> Result<(), ChunkError> {
         let greatest = self.compression.greatest_ratio();
         if (chunk.len() as u64).saturating_mul(greatest) < self.encoded_bytes() {
             let (found, wanted) = (chunk.len(), self.encoded_bytes());
             return Err(format!("{found} bytes cannot hold {wanted} of samples").into());
         }
-        match self.compression {
-            Compression::Zstd => return self.decode_plain(&self.unzstd(chunk)?),
-            Compression::Lzw => return self.decode_plain(&self.unlzw(chunk)?),
-            Compression::Jpeg => self.check_jpeg(chunk)?,
-            Compression::None | Compression::Deflate | Compression::PackBits => {}
-        }
-        self.decode_plain(chunk)
+        Ok(())
     }
 
-    fn unzstd(&self, chunk: &[u8]) -> Result<Vec<u8>, ChunkError> {
-        let limit = self.encoded_bytes();
-        let mut decoded = Vec::new();
-        ruzstd::decoding::StreamingDecoder::new(chunk)?.take(limit).read_to_end(&mut decoded)?;
-        if (decoded.len() as u64) < limit {
-            return Err(format!("{} bytes decode, not {limit}", decoded.len()).into());
+    /// Decodes a chunk that [`Self::check_length`] accepted to the samples of its `clipped` pixels,
+    /// in the host's order of bytes.
+    ///
+    /// # Panics
+    ///
+    /// If `out` has not [`Self::clipped_bytes`], or is not aligned as its samples are.
+    pub(super) fn decode_into(
+        &self,
+        chunk: &[u8],
+        workspace: &mut Workspace,
+        out: &mut [u8],
+    ) -> Result<(), ChunkError> {
+        assert_eq!(out.len(), self.clipped_bytes(), "the output is that of the chunk");
+        if self.compression == Compression::Jpeg {
+            self.check_jpeg(chunk)?;
+            out.copy_from_slice(self.decode_with_tiff(chunk)?.as_bytes());
+            return Ok(());
         }
-        Ok(decoded)
-    }
-
-    fn unlzw(&self, chunk: &[u8]) -> Result<Vec<u8>, ChunkError> {
-        let mut decoded = vec![0; usize::try_from(self.encoded_bytes())?];
-        let mut decoder = weezl::decode::Decoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8);
-        let (mut rest, mut done) = (chunk, 0);
-        while done < decoded.len() {
-            let step = decoder.decode_bytes(rest, &mut decoded[done..]);
-            (rest, done) = (&rest[step.consumed_in..], done + step.consumed_out);
-            let stuck = step.consumed_in == 0 && step.consumed_out == 0;
-            if matches!(step.status?, weezl::LzwStatus::Done) || stuck {
-                break;
+        let pixel_bytes = self.pixel_bytes();
+        let encoded_row = self.encoded.0 as usize * pixel_bytes;
+        let clipped_row = self.clipped.0 as usize * pixel_bytes;
+        let Workspace { encoded_rows } = workspace;
+        if encoded_row == clipped_row && self.predictor != 3 {
+            self.decompress(chunk, out)?;
+        } else {
+            // Zeros are needed only where the buffer grows.
+            encoded_rows.resize(encoded_row * self.clipped.1 as usize, 0);
+            self.decompress(chunk, encoded_rows)?;
+            let rows = encoded_rows.chunks_exact_mut(encoded_row);
+            for (from, to) in rows.zip(out.chunks_exact_mut(clipped_row)) {
+                match (self.predictor, self.sample) {
+                    (3, SampleType::F32) => {
+                        predictor::undo_floating::<4>(from, self.samples.into(), to);
+                    }
+                    (3, SampleType::F64) => {
+                        predictor::undo_floating::<8>(from, self.samples.into(), to);
+                    }
+                    _ => to.copy_from_slice(&from[..clipped_row]),
+                }
             }
         }
-        if done < decoded.len() {
-            return Err(format!("{done} bytes decode, not {}", decoded.len()).into());
+        let bytes = self.sample.bytes();
+        // The floating-point predictor has an order of its own.
+        if self.predictor != 3 && self.order != ByteOrder::HOST {
+            predictor::swap_bytes(out, bytes);
         }
-        Ok(decoded)
-    }
-
-    fn decode_plain(&self, chunk: &[u8]) -> Result<Samples, ChunkError> {
-        let bytes = usize::try_from(self.encoded_bytes())?;
-        let limits = {
-            let mut limits = Limits::default();
-            limits.decoding_buffer_size = bytes;
-            limits.intermediate_buffer_size = chunk.len().max(bytes);
-            limits
-        };
-        let file = self.file_of(chunk)?;
-        let decoded = Decoder::new(Cursor::new(file))?.with_limits(limits).read_chunk(0)?;
-        let samples = match decoded {
-            DecodingResult::U8(values) => Samples::U8(values),
-            DecodingResult::I8(values) => Samples::I8(values),
-            DecodingResult::U16(values) => Samples::U16(values),
-            DecodingResult::I16(values) => Samples::I16(values),
-            DecodingResult::U32(values) => Samples::U32(values),
-            DecodingResult::I32(values) => Samples::I32(values),
-            DecodingResult::F32(values) => Samples::F32(values),
-            DecodingResult::F64(values) => Samples::F64(values),
-            _ => return Err("the samples decode to another type".into()),
-        };
-        let (width, height) = (self.clipped.0 as usize, self.clipped.1 as usize);
-        let expected = width * height * usize::from(self.samples);
-        if samples.len() != expected || samples.sample_type() != self.sample {
-            return Err(format!("{} samples decode, not {expected}", samples.len()).into());
-        }
-        Ok(samples)
-    }
-
-    /// A TIFF file of which `chunk` is the only tile.
-    fn file_of(&self, chunk: &[u8]) -> Result<Vec<u8>, ChunkError> {
-        const HEADER_BYTES: u32 = 8;
-        const ENTRY_BYTES: u32 = 12;
-        const SHORT: u16 = 3;
-        const LONG: u16 = 4;
-        const UNDEFINED: u16 = 7;
-        let (bits, format): (u16, u16) = match self.sample {
-            SampleType::U8 => (8, 1),
-            SampleType::I8 => (8, 2),
-            SampleType::U16 => (16, 1),
-            SampleType::I16 => (16, 2),
-            SampleType::U32 => (32, 1),
-            SampleType::I32 => (32, 2),
-            SampleType::F32 => (32, 3),
-            SampleType::F64 => (64, 3),
-        };
-        let tables = self.jpeg_tables.unwrap_or_default();
-        let entry_count = 13 + u16::from(!tables.is_empty());
-        let tables_at = HEADER_BYTES + 2 + u32::from(entry_count) * ENTRY_BYTES + 4;
-        let chunk_at = tables_at + u32::try_from(tables.len())?;
-
-        let mut file = Output { order: self.order, bytes: Vec::new() };
-        file.bytes.reserve_exact(chunk_at as usize + chunk.len());
-        file.bytes.extend(match self.order {
-            ByteOrder::Little => b"II",
-            ByteOrder::Big => b"MM",
-        });
-        file.short(42);
-        file.long(HEADER_BYTES);
-        file.short(entry_count);
-        file.entry(256, LONG, self.clipped.0);
-        file.entry(257, LONG, self.clipped.1);
-        file.entry(258, SHORT, bits.into());
-        file.entry(259, SHORT, self.compression.code().into());
-        file.entry(262, SHORT, 1); // gray, whatever the samples mean: nothing is converted
-        file.entry(277, SHORT, self.samples.into());
-        file.entry(284, SHORT, 1);
-        file.entry(317, SHORT, self.predictor.into());
-        file.entry(322, LONG, self.encoded.0);
-        file.entry(323, LONG, self.encoded.1);
-        file.entry(324, LONG, chunk_at);
-        file.entry(325, LONG, u32::try_from(chunk.len())?);
-        file.entry(339, SHORT, format.into());
-        if !tables.is_empty() {
-            file.short(347);
-            file.short(UNDEFINED);
-            file.long(u32::try_from(tables.len())?);
-            file.long(tables_at);
-        }
-        file.long(0);
-        file.bytes.extend(tables);
-        file.bytes.extend(chunk);
-        Ok(file.bytes)
-    }
-
-    /// Checks the size that a JPEG stream claims, which would size the decoder's buffers.
-    fn check_jpeg(&self, chunk: &[u8]) -> Result<(), ChunkError> {
-        let (width, height, components) = jpeg_frame(chunk).ok_or("no JPEG frame")?;
-        let (wanted_width, wanted_height) = self.encoded;
-        let fits = u32::from(width) == wanted_width
-            && u32::from(height) >= self.clipped.1
-            && u32::from(height) <= wanted_height
-            && u16::from(components) == self.samples;
-        if !fits {
-            return Err(format!(
-                "a JPEG frame of {width} × {height} with {components} components, \
-                 not {wanted_width} × {wanted_height} with {}",
-                self.samples
-            )
-            .into());
+        if self.predictor == 2 {
+            predictor::undo_horizontal(out, clipped_row, bytes, self.samples.into());
         }
         Ok(())
     }
-}
 
-/// Bytes in a file's order.
-struct Output {
-    order: ByteOrder,
-    bytes: Vec<u8>,
-}
-
-impl Output {
-    fn short(&mut self, value: u16) {
-        self.bytes.extend(match self.order {
-            ByteOrder::Little => value.to_le_bytes(),
-            #[expect(clippy::big_endian_bytes, reason = "the order of the file being read")]
-            ByteOrder::Big => value.to_be_bytes(),
-        });
-    }
-
-    fn long(&mut self, value: u32) {
-        self.bytes.extend(match self.order {
-            ByteOrder::Little => value.to_le_bytes(),
-            #[expect(clippy::big_endian_bytes, reason = "the order of the file being read")]
-            ByteOrder::Big => value.to_be_bytes(),
-        });
-    }
-
-    /// An entry with one value of type SHORT (3) or LONG (4).
-    fn entry(&mut self, tag: u16, kind: u16, value: u32) {
-        self.short(tag);
-        self.short(kind);
-        self.long(1);
-        match u16::try_from(value) {
-            Ok(value) if kind == 3 => {
-                self.short(value);
-                self.short(0);
+    /// Fills `out` with the first bytes that the chunk stands for; what follows is not looked at.
+    fn decompress(&self, chunk: &[u8], out: &mut [u8]) -> Result<(), ChunkError> {
+        match self.compression {
+            Compression::None => {
+                let bytes = chunk.get(..out.len());
+                out.copy_from_slice(bytes.ok_or_else(|| too_short(chunk.len(), out.len()))?);
+                Ok(())
             }
-            _ => self.long(value),
+            Compression::Deflate => inflate(chunk, usize::try_from(self.encoded_bytes())?, out),
+            Compression::Lzw => unlzw(chunk, out),
+            Compression::Zstd => unzstd(chunk, out),
+            Compression::PackBits => unpack_bits(chunk, out),
+            Compression::Jpeg => unreachable!("JPEG is decoded elsewhere"),
         }
     }
 }
 
-/// Width, height and components of a JPEG stream's frame.
-fn jpeg_frame(stream: &[u8]) -> Option<(u16, u16, u8)> {
-    let short = |at: usize| Some(ByteOrder::Big.u16(stream.get(at..at + 2)?));
-    let mut at = 2;
-    loop {
-        let &[0xff, marker] = stream.get(at..at + 2)? else { return None };
-        match marker {
-            0xff => at += 1,
-            0x01 | 0xd0..=0xd8 => at += 2,
-            // Start of frame, but for the codes of tables that share its range.
-            0xc0..=0xcf if !matches!(marker, 0xc4 | 0xc8 | 0xcc) => {
-                return Some((short(at + 7)?, short(at + 5)?, *stream.get(at + 9)?));
+fn too_short(found: usize, wanted: usize) -> ChunkError {
+    format!("{found} bytes decode, not {wanted}").into()
+}
+
+/// Fills `out` from a zlib stream that stands for `whole` bytes. A stream without its checksum, or
+/// with more behind what is wanted, will do; one with a wrong checksum will not.
+fn inflate(chunk: &[u8], whole: usize, out: &mut [u8]) -> Result<(), ChunkError> {
+    let options =
+        DeflateOptions::default().set_confirm_checksum(true).set_size_hint(whole).set_limit(whole);
+    let decoded = match DeflateDecoder::new_with_options(chunk, options).decode_zlib() {
+        Ok(decoded) => decoded,
+        Err(error) => match error.error {
+            DecodeErrorStatus::OutputLimitExceeded(..) | DecodeErrorStatus::InsufficientData
+                if error.data.len() >= out.len() =>
+            {
+                error.data
             }
-            0xd9 | 0xda => return None,
-            _ => at += 2 + usize::from(short(at + 2)?),
-        }
-    }
+            status => return Err(format!("{status:?}").into()),
+        },
+    };
+    let bytes = decoded.get(..out.len()).ok_or_else(|| too_short(decoded.len(), out.len()))?;
+    out.copy_from_slice(bytes);
+    Ok(())
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_jpeg_frame_is_found_behind_other_segments() {
-        let stream = [
-            &[0xff, 0xd8, 0xff, 0xe0, 0, 4, 1, 2][..],
-            &[0xff, 0xc4, 0, 3, 9],
-            &[0xff, 0xc0, 0, 11, 8, 1, 0, 2, 0, 3],
-        ]
-        .concat();
-        assert_eq!(jpeg_frame(&stream), Some((512, 256, 3)));
-        for len in 0..stream.len() {
-            assert_eq!(jpeg_frame(&stream[..len]), None);
+fn unzstd(chunk: &[u8], out: &mut [u8]) -> Result<(), ChunkError> {
+    let mut decoder = ruzstd::decoding::StreamingDecoder::new(chunk)?;
+    let mut done = 0;
+    while done < out.len() {
+        match decoder.read(&mut out[done..])? {
+            0 => return Err(too_short(done, out.len())),
+            count => done += count,
         }
     }
+    Ok(())
+}
+
+fn unlzw(chunk: &[u8], out: &mut [u8]) -> Result<(), ChunkError> {
+    let mut decoder = weezl::decode::Decoder::with_tiff_size_switch(weezl::BitOrder::Msb, 8);
+    let (mut rest, mut done) = (chunk, 0);
+    while done < out.len() {
+        let step = decoder.decode_bytes(rest, &mut out[done..]);
+        (rest, done) = (&rest[step.consumed_in..], done + step.consumed_out);
+        let stuck = step.consumed_in == 0 && step.consumed_out == 0;
+        if matches!(step.status?, weezl::LzwStatus::Done) || stuck {
+            break;
+        }
+    }
+    if done < out.len() { Err(too_short(done, out.len())) } else { Ok(()) }
+}
+
+/// # References
+///
+/// * Adobe, *TIFF 6.0*, section 9.
+fn unpack_bits(chunk: &[u8], out: &mut [u8]) -> Result<(), ChunkError> {
+    const NOTHING: u8 = 128;
+    let (mut rest, mut done) = (chunk, 0);
+    while done < out.len() {
+        let Some((&head, after)) = rest.split_first() else {
+            return Err(too_short(done, out.len()));
+        };
+        rest = after;
+        let room = out.len() - done;
+        if head < NOTHING {
+            let count = (usize::from(head) + 1).min(room);
+            let Some((run, after)) = rest.split_at_checked(count) else {
+                return Err(too_short(done + rest.len(), out.len()));
+            };
+            out[done..done + count].copy_from_slice(run);
+            (rest, done) = (after, done + count);
+        } else if head > NOTHING {
+            let Some((&value, after)) = rest.split_first() else {
+                return Err(too_short(done, out.len()));
+            };
+            let count = (257 - usize::from(head)).min(room);
+            out[done..done + count].fill(value);
+            (rest, done) = (after, done + count);
+        }
+    }
+    Ok(())
 }

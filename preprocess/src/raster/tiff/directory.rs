@@ -22,6 +22,12 @@ pub(crate) enum ByteOrder {
     Big,
 }
 
+impl ByteOrder {
+    /// That of this machine.
+    pub(crate) const HOST: Self =
+        if cfg!(target_endian = "little") { Self::Little } else { Self::Big };
+}
+
 /// Numbers as a byte order writes them.
 macro_rules! from_bytes {
     ($($name:ident: $type:ty, $bytes:literal);* $(;)?) => {

@@ -111,7 +111,7 @@ impl Compression {
     /// The code that tells the `tiff` crate how to decode a chunk.
     pub(crate) const fn code(self) -> u16 {
         match self {
-            // ZSTD and LZW are undone before the crate sees the chunk.
+            // ZSTD and LZW are undone before the crate sees a chunk.
             Self::None | Self::Zstd | Self::Lzw => 1,
             Self::Jpeg => 7,
             Self::Deflate => 8,
@@ -120,12 +120,12 @@ impl Compression {
     }
 
     /// A byte of a chunk stands for no more than this many bytes of samples: an upper bound of what
-    /// a chunk can hold, known before anything is allocated. ZSTD, whose bound says nothing, is
-    /// decompressed piece by piece instead.
+    /// a chunk can hold, known before anything is allocated.
     pub(crate) const fn greatest_ratio(self) -> u64 {
         match self {
             Self::None => 1,
-            Self::Zstd => u64::MAX,
+            // A block of 128 KiB of one byte takes four.
+            Self::Zstd => 32 << 10,
             Self::PackBits => 128,
             Self::Deflate => 1040,
             // LZW's longest string; and a JPEG block of 64 samples takes two bits at least.

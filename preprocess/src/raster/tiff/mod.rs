@@ -11,14 +11,16 @@ mod directory;
 mod geokeys;
 mod layout;
 mod metadata;
+mod one_chunk;
+mod predictor;
 
 use self::chunks::Chunks;
-use self::decode::ChunkShape;
+use self::decode::{ChunkShape, Scratch};
 use self::directory::{Directory, TiffFile, tags};
 use self::geokeys::GeoKeys;
 use self::layout::{Meaning, Pixel};
 use super::error::RasterError;
-use super::file::PositionedFile;
+use super::file::{PositionedFile, Witness};
 use super::georeference;
 use super::outline::Rows;
 use super::samples::{Sample, Samples, with_samples};
@@ -41,6 +43,8 @@ pub(super) struct TiffRaster {
     pixel: Pixel,
     chunks: Chunks,
     rows: Rows,
+    /// Files that say where it lies.
+    beside: Vec<Witness>,
 }
 
 impl TiffRaster {
@@ -93,42 +97,60 @@ impl TiffRaster {
             block_width: chunks.width,
             block_height: chunks.height.saturating_mul(strips).min(size.1.max(chunks.height)),
         };
-        Ok(Self { tiff, info, pixel, chunks, rows: placed.rows })
+        Ok(Self { tiff, info, pixel, chunks, rows: placed.rows, beside: placed.beside })
     }
 
     /// Samples of a window of the file, in the file's own order of rows.
-    fn read_window(&self, [col, row, width, height]: [u32; 4]) -> Result<Samples, RasterError> {
+    fn read_window(&self, wanted: [u32; 4]) -> Result<Samples, RasterError> {
+        let [col, row, width, height] = wanted;
         let chunks = &self.chunks;
         let kept = &self.pixel.kept;
-        let everything = kept.iter().copied().eq(0..self.pixel.stored);
-        let mut window: Option<Samples> = None;
-        for down in row / chunks.height..=(row + height - 1) / chunks.height {
-            for across in col / chunks.width..=(col + width - 1) / chunks.width {
-                for plane in 0..chunks.planes {
-                    let chunk = self.read_chunk(plane, across, down)?;
-                    let place = self.chunk_window(across, down);
-                    // The usual block is one chunk of which everything is wanted.
-                    if everything && chunks.planes == 1 && place == [col, row, width, height] {
-                        return Ok(chunk);
-                    }
-                    let len = width as usize * height as usize * kept.len();
-                    let window =
-                        window.get_or_insert_with(|| Samples::filled(self.pixel.sample, len, 0.0));
-                    for (to_band, &from_band) in kept.iter().enumerate() {
-                        let (from_band, from_bands) = match chunks.planes {
-                            1 => (from_band, self.pixel.stored),
-                            _ if from_band == plane => (0, 1),
-                            _ => continue,
-                        };
-                        let from = Place { window: place, band: from_band, bands: from_bands };
-                        let (band, bands) = (to_band, kept.len());
-                        let to = Place { window: [col, row, width, height], band, bands };
-                        copy_samples(&chunk, from, window, to);
+        let everything = chunks.planes == 1 && kept.iter().copied().eq(0..self.pixel.stored);
+        let filled = |pixels: [u32; 4], samples: usize| {
+            let len = pixels[2] as usize * pixels[3] as usize * samples;
+            Samples::filled(self.pixel.sample, len, 0.0)
+        };
+        Scratch::with(|scratch| {
+            let mut window: Option<Samples> = None;
+            for down in row / chunks.height..=(row + height - 1) / chunks.height {
+                for across in col / chunks.width..=(col + width - 1) / chunks.width {
+                    for plane in 0..chunks.planes {
+                        let chunk = self.read_chunk([plane.into(), across, down], scratch)?;
+                        // Allocated now that a chunk has been read that is long enough.
+                        let window = window.get_or_insert_with(|| filled(wanted, kept.len()));
+                        let place = chunk.window;
+                        let row_inside = place[1].checked_sub(row);
+                        if let Some(first_row) = row_inside
+                            && everything
+                            && (place[0], place[2]) == (col, width)
+                            && first_row + place[3] <= height
+                        {
+                            let row_bytes = window.bytes() / height as usize;
+                            let rows = &mut window.as_bytes_mut()[first_row as usize * row_bytes..];
+                            self.decode(
+                                &chunk,
+                                scratch,
+                                &mut rows[..place[3] as usize * row_bytes],
+                            )?;
+                            continue;
+                        }
+                        let mut samples = filled(place, chunk.shape.samples.into());
+                        self.decode(&chunk, scratch, samples.as_bytes_mut())?;
+                        for (to_band, &from_band) in kept.iter().enumerate() {
+                            let (from_band, from_bands) = match chunks.planes {
+                                1 => (from_band, self.pixel.stored),
+                                _ if from_band == plane => (0, 1),
+                                _ => continue,
+                            };
+                            let from = Place { window: place, band: from_band, bands: from_bands };
+                            let to = Place { window: wanted, band: to_band, bands: kept.len() };
+                            copy_samples(&samples, from, window, to);
+                        }
                     }
                 }
             }
-        }
-        Ok(window.unwrap_or_else(|| Samples::filled(self.pixel.sample, 0, 0.0)))
+            Ok(window.unwrap_or_else(|| Samples::filled(self.pixel.sample, 0, 0.0)))
+        })
     }
 
     /// Column, row, width and height of a chunk inside the raster.
@@ -138,44 +160,67 @@ impl TiffRaster {
         [col, row, width, self.chunks.height.min(self.info.height - row)]
     }
 
-    fn read_chunk(&self, plane: u16, across: u32, down: u32) -> Result<Samples, RasterError> {
-        let [_, _, width, height] = self.chunk_window(across, down);
-        let samples = if self.chunks.planes > 1 { 1 } else { self.pixel.stored };
-        let (offset, bytes) = self.chunks.place(plane, across, down);
-        if bytes == 0 {
-            // A chunk that the file leaves out is no data, or zeros where nothing means that.
-            let len = width as usize * height as usize * usize::from(samples);
-            let nodata = self.info.nodata.unwrap_or(0.0);
-            let mut filled = Samples::filled(self.pixel.sample, len, nodata);
-            if let (Samples::U8(values), Meaning::YCbCr) = (&mut filled, &self.pixel.meaning) {
-                // A gray of that value.
-                values.chunks_exact_mut(3).for_each(|pixel| pixel[1..].fill(128));
-            }
-            return Ok(filled);
-        }
-        let what = if self.chunks.tiled { "tile" } else { "strip" };
-        let name = || format!("the {what} at column {across}, row {down}");
-        let chunk = self.tiff.file.read(&name(), offset, bytes)?;
+    /// Reads the chunk of a plane, column and row of chunks into `scratch`.
+    fn read_chunk(
+        &self,
+        [plane, across, down]: [u32; 3],
+        scratch: &mut Scratch,
+    ) -> Result<Chunk<'_>, RasterError> {
+        let chunks = &self.chunks;
+        let window = self.chunk_window(across, down);
+        let [_, _, width, height] = window;
+        let (offset, bytes) = chunks.place(plane, across, down);
         let shape = ChunkShape {
             order: self.tiff.order,
-            compression: self.chunks.compression,
-            predictor: self.chunks.predictor,
-            jpeg_tables: self.chunks.jpeg_tables.as_deref(),
+            compression: chunks.compression,
+            predictor: chunks.predictor,
+            jpeg_tables: chunks.jpeg_tables.as_deref(),
             sample: self.pixel.sample,
-            samples,
+            samples: if chunks.planes > 1 { 1 } else { self.pixel.stored },
             // The last strip has only the rows there are.
-            encoded: (
-                self.chunks.width,
-                if self.chunks.tiled { self.chunks.height } else { height },
-            ),
+            encoded: (chunks.width, if chunks.tiled { chunks.height } else { height }),
             clipped: (width, height),
         };
-        shape.decode(&chunk).map_err(|source| RasterError::Damaged {
-            path: self.info.path.clone(),
-            what: name(),
-            offset,
-            source,
-        })
+        let chunk = Chunk { window, across, down, offset, bytes, shape };
+        if bytes > 0 {
+            self.tiff.file.read_into(|| self.name(&chunk), offset, bytes, &mut scratch.chunk)?;
+            shape.check_length(&scratch.chunk).map_err(|source| self.damaged(&chunk, source))?;
+        }
+        Ok(chunk)
+    }
+
+    /// Decodes the chunk that was read into `scratch`.
+    fn decode(
+        &self,
+        chunk: &Chunk,
+        scratch: &mut Scratch,
+        out: &mut [u8],
+    ) -> Result<(), RasterError> {
+        if chunk.bytes > 0 {
+            let Scratch { chunk: bytes, workspace } = scratch;
+            let decoded = chunk.shape.decode_into(bytes, workspace, out);
+            return decoded.map_err(|source| self.damaged(chunk, source));
+        }
+        // A chunk that the file leaves out is no data, or zeros where nothing means that.
+        let nodata = self.info.nodata.unwrap_or(0.0);
+        let len = out.len() / self.pixel.sample.bytes();
+        let mut filled = Samples::filled(self.pixel.sample, len, nodata);
+        if let (Samples::U8(values), Meaning::YCbCr) = (&mut filled, &self.pixel.meaning) {
+            // A gray of that value.
+            values.chunks_exact_mut(3).for_each(|pixel| pixel[1..].fill(128));
+        }
+        out.copy_from_slice(filled.as_bytes());
+        Ok(())
+    }
+
+    fn name(&self, chunk: &Chunk) -> String {
+        let what = if self.chunks.tiled { "tile" } else { "strip" };
+        format!("the {what} at column {}, row {}", chunk.across, chunk.down)
+    }
+
+    fn damaged(&self, chunk: &Chunk, source: decode::ChunkError) -> RasterError {
+        let (path, what) = (self.info.path.clone(), self.name(chunk));
+        RasterError::Damaged { path, what, offset: chunk.offset, source }
     }
 
     /// Samples as bands: colors of palettes and of JPEG become red, green, blue.
@@ -203,6 +248,19 @@ impl TiffRaster {
     }
 }
 
+/// A chunk whose bytes are in the scratch.
+struct Chunk<'raster> {
+    /// Column, row, width and height inside the raster.
+    window: [u32; 4],
+    /// Column and row of chunks.
+    across: u32,
+    down: u32,
+    /// Place in the file; no bytes are a chunk left out.
+    offset: u64,
+    bytes: u64,
+    shape: ChunkShape<'raster>,
+}
+
 impl Raster for TiffRaster {
     fn info(&self) -> &RasterInfo {
         &self.info
@@ -224,6 +282,11 @@ impl Raster for TiffRaster {
             }
         };
         Ok(Block { col, row, width, height, samples: self.bands_of(samples) })
+    }
+
+    fn check_unchanged(&self) -> Result<(), RasterError> {
+        self.tiff.file.check_unchanged()?;
+        self.beside.iter().try_for_each(Witness::check_unchanged)
     }
 }
 

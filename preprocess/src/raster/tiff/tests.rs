@@ -3,6 +3,7 @@
 mod builder;
 mod damage;
 mod layouts;
+mod oracle;
 mod placement;
 
 use std::path::Path;

@@ -286,7 +286,7 @@ impl TestTiff {
 }
 
 /// A zlib stream of stored blocks.
-fn stored_zlib(bytes: &[u8]) -> Vec<u8> {
+pub(super) fn stored_zlib(bytes: &[u8]) -> Vec<u8> {
     let mut stream = vec![0x78, 0x01];
     let blocks = bytes.chunks(0xffff).count();
     for (index, block) in bytes.chunks(0xffff).enumerate() {

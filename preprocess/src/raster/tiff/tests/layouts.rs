@@ -2,11 +2,11 @@
 
 use super::builder::{TestTiff, Values, globe, value_at};
 use super::*;
+use crate::raster::convert::{whole_colors, whole_heights};
 use crate::raster::samples::{SampleType, Samples};
 use crate::raster::tiff::directory::{ByteOrder, tags};
-use crate::raster::{colors_into, heights_into};
 
-const TYPES: [SampleType; 8] = [
+pub(super) const TYPES: [SampleType; 8] = [
     SampleType::U8,
     SampleType::I8,
     SampleType::U16,
@@ -126,8 +126,7 @@ fn tiles_left_out_are_no_data() {
     let raster = opened(&sparse.clone().with(tags::GDAL_NODATA, Values::Text("-9999"))).unwrap();
     let block = raster.read_block(0, 0).unwrap();
     assert!(numbers(&block).iter().all(|&value| value == -9999.0));
-    let mut heights = vec![0.0; 256];
-    heights_into(&block, raster.info(), &mut heights);
+    let heights = whole_heights(&block, raster.info());
     assert!(heights.iter().all(|height| height.is_nan()));
     assert!(numbers(&raster.read_block(1, 0).unwrap()).iter().all(|&value| value >= 0.0));
 
@@ -176,8 +175,7 @@ fn palettes_become_colors_and_their_nodata_alpha() {
 
     let raster = opened(&palette.with(tags::GDAL_NODATA, Values::Text("7"))).unwrap();
     let block = raster.read_block(0, 0).unwrap();
-    let (mut rgb, mut alpha) = (vec![[0; 3]; 256], vec![0; 256]);
-    colors_into(&block, raster.info(), &mut rgb, &mut alpha).unwrap();
+    let (_, alpha) = whole_colors(&block, raster.info()).unwrap();
     assert_eq!((alpha[0], alpha[1], alpha[2]), (255, 0, 255));
 }
 

@@ -3,21 +3,16 @@
 //! Several rasters make a mosaic if they share a projection and a pixel size and lie a whole
 //! number of pixels apart. Where they overlap the one given last shows, where it has data.
 
-use std::ops::Range;
+mod leaf;
+
 use std::sync::Arc;
 
-use areoid_formats::address::PageAddress;
 use areoid_formats::grid::{Grid, GridError, Outline};
 use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
 use areoid_formats::pyramid::Pyramid;
 
-use crate::build::Leaves;
-use crate::raster::{
-    Block, BlockCache, Raster, RasterError, RasterInfo, colors_into, heights_into,
-};
-use crate::texel::Planes;
-use crate::tile::Raw;
+use crate::raster::{BlockCache, Overflow, Raster, RasterError, RasterInfo};
 
 /// How far a raster may lie off the common grid, in pixels.
 const ALIGNMENT_PX: f64 = 1e-3;
@@ -184,10 +179,29 @@ impl Mosaic {
         Ok(Self { grid, kind, parts })
     }
 
+    /// Gives the blocks of all rasters together a budget: what is beyond it is
+    /// set aside.
+    ///
+    /// # Panics
+    ///
+    /// If a leaf has been read already.
+    pub fn spill(&mut self, overflow: &Arc<Overflow>) {
+        self.parts.iter_mut().for_each(|part| part.blocks.spill(Arc::clone(overflow)));
+    }
+
     /// The grid on which the leaves are the rasters' pixels.
     #[must_use]
     pub fn grid(&self) -> &Grid {
         &self.grid
+    }
+
+    /// Whether the rasters are what they were when they were opened.
+    ///
+    /// # Errors
+    ///
+    /// [`RasterError::Modified`] if one was changed since, or [`RasterError::Io`].
+    pub fn check_unchanged(&self) -> Result<(), RasterError> {
+        self.parts.iter().try_for_each(|part| part.raster.check_unchanged())
     }
 
     /// Blocks decoded so far: each once.
@@ -237,143 +251,5 @@ fn whole(pixels: f64) -> Option<u32> {
     (0.0..=f64::from(u32::MAX)).contains(&pixels).then_some(pixels as u32)
 }
 
-impl Leaves for Mosaic {
-    fn read(&self, page: PageAddress) -> Result<Option<Raw>, RasterError> {
-        let pyramid = self.grid.pyramid();
-        let side = pyramid.page_side() as usize;
-        let count = side * side;
-        let planes = match self.kind {
-            Kind::Height => Planes::Height(vec![f32::NAN; count]),
-            Kind::Color | Kind::Normal => Planes::Color([(); 3].map(|()| vec![0; count])),
-        };
-        let mut raw = Raw { planes, alpha: Some(vec![0; count]) };
-        for part in &self.parts {
-            part.read_into(&mut raw, pyramid, page)?;
-        }
-        let (rows, cols) = pyramid.interior_size(page);
-        let alpha = raw.alpha.take().unwrap_or_default();
-        let all = |test: fn(&u8) -> bool| {
-            (1..=rows as usize).all(|row| alpha[row * side + 1..][..cols as usize].iter().all(test))
-        };
-        if all(|&alpha| alpha == 0) {
-            return Ok(None);
-        }
-        if !all(|&alpha| alpha == u8::MAX) {
-            raw.alpha = Some(alpha);
-        }
-        Ok(Some(raw))
-    }
-
-    fn skip(&self, page: PageAddress) {
-        for part in &self.parts {
-            let blocks = part
-                .overlap(self.grid.pyramid(), page)
-                .map(|(rows, cols)| part.blocks_of(&rows, &cols));
-            for (block_col, block_row) in blocks.into_iter().flatten() {
-                part.blocks.release(block_col, block_row);
-            }
-        }
-    }
-
-    fn may_have_holes(&self) -> bool {
-        let extent = self.grid.pyramid().extent();
-        let whole = |part: &Part| {
-            let info = part.raster.info();
-            (part.col, part.row, part.width, part.height) == (0, 0, extent.width, extent.height)
-                && info.nodata.is_none()
-                && !info.has_alpha
-                && !info.sample.is_float()
-        };
-        !self.parts.iter().any(whole)
-    }
-}
-
-impl Part {
-    /// The rows and columns of this raster that lie in a leaf, `None` if none do.
-    fn overlap(&self, pyramid: &Pyramid, page: PageAddress) -> Option<(Range<u32>, Range<u32>)> {
-        let interior = pyramid.interior();
-        let (rows, cols) = pyramid.interior_size(page);
-        let overlap = |leaf: u32, length: u32, part: u32, used: u32| {
-            let start = leaf.saturating_sub(part);
-            let end = (leaf + length).saturating_sub(part).min(used);
-            start..end.max(start)
-        };
-        let rows = overlap(page.row * interior, rows, self.row, self.height);
-        let cols = overlap(page.col * interior, cols, self.col, self.width);
-        (!rows.is_empty() && !cols.is_empty()).then_some((rows, cols))
-    }
-
-    /// Columns and rows of the blocks that have these rows and columns of the raster.
-    fn blocks_of(&self, rows: &Range<u32>, cols: &Range<u32>) -> Vec<(u32, u32)> {
-        let info = self.raster.info();
-        let down = rows.start / info.block_height..=(rows.end - 1) / info.block_height;
-        let across = cols.start / info.block_width..=(cols.end - 1) / info.block_width;
-        down.flat_map(|row| across.clone().map(move |col| (col, row))).collect()
-    }
-
-    /// Lays this raster's pixels over a leaf.
-    fn read_into(
-        &self,
-        raw: &mut Raw,
-        pyramid: &Pyramid,
-        page: PageAddress,
-    ) -> Result<(), RasterError> {
-        let Some((rows, cols)) = self.overlap(pyramid, page) else { return Ok(()) };
-        let interior = pyramid.interior();
-        let side = pyramid.page_side() as usize;
-        let info = self.raster.info();
-        for (block_col, block_row) in self.blocks_of(&rows, &cols) {
-            let block = self.blocks.get(block_col, block_row)?;
-            let (first_row, first_col) = (block.row.max(rows.start), block.col.max(cols.start));
-            let cut = block.cut(
-                first_col..(block.col + block.width).min(cols.end),
-                first_row..(block.row + block.height).min(rows.end),
-            );
-            let to_row = (self.row + first_row - page.row * interior + Pyramid::BORDER) as usize;
-            let to_col = (self.col + first_col - page.col * interior + Pyramid::BORDER) as usize;
-            lay(raw, side, &cut, info, (to_row, to_col))?;
-            drop(block);
-            self.blocks.release(block_col, block_row);
-        }
-        Ok(())
-    }
-}
-
-/// Lays the valid pixels of `block` over a leaf, its first one at (`row`, `col`).
-fn lay(
-    raw: &mut Raw,
-    side: usize,
-    block: &Block,
-    info: &RasterInfo,
-    (row, col): (usize, usize),
-) -> Result<(), RasterError> {
-    let (width, height) = (block.width as usize, block.height as usize);
-    let alpha = raw.alpha.as_mut().expect("it is there while the leaf is read");
-    let at = |pixel: usize| (row + pixel / width) * side + col + pixel % width;
-    match &mut raw.planes {
-        Planes::Height(plane) => {
-            let mut heights = vec![0.0; width * height];
-            heights_into(block, info, &mut heights);
-            for (pixel, height) in heights.into_iter().enumerate() {
-                if !height.is_nan() {
-                    plane[at(pixel)] = height;
-                    alpha[at(pixel)] = u8::MAX;
-                }
-            }
-        }
-        Planes::Color(planes) => {
-            let mut colors = vec![[0; 3]; width * height];
-            let mut opacity = vec![0; width * height];
-            colors_into(block, info, &mut colors, &mut opacity)?;
-            for (pixel, (color, opacity)) in colors.into_iter().zip(opacity).enumerate() {
-                if opacity != 0 {
-                    for (plane, code) in planes.iter_mut().zip(color) {
-                        plane[at(pixel)] = code;
-                    }
-                    alpha[at(pixel)] = opacity;
-                }
-            }
-        }
-    }
-    Ok(())
-}
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,176 @@
+//! Leaves cut from the rasters of a mosaic.
+
+use std::ops::Range;
+
+use areoid_formats::address::PageAddress;
+use areoid_formats::page::Kind;
+use areoid_formats::pyramid::Pyramid;
+
+use super::{Mosaic, Part, Place};
+use crate::build::Leaves;
+use crate::raster::{Filled, RasterError, Window, colors_into, heights_into};
+use crate::texel::Planes;
+use crate::tile::Raw;
+
+impl Leaves for Mosaic {
+    fn read(&self, page: PageAddress) -> Result<Option<Raw>, RasterError> {
+        let pyramid = self.grid.pyramid();
+        let place = Place::of(pyramid, page);
+        let overlaps = self.parts.iter().map(|part| (part, part.overlap(place)));
+        let overlaps: Vec<_> = overlaps.filter_map(|(part, at)| Some((part, at?))).collect();
+        if overlaps.is_empty() {
+            return Ok(None);
+        }
+        let side = pyramid.page_side() as usize;
+        let mut raw = match self.kind {
+            Kind::Height => {
+                Raw { planes: Planes::Height(vec![f32::NAN; side * side]), alpha: None }
+            }
+            Kind::Color | Kind::Normal => {
+                let plane = || vec![0; side * side];
+                Raw { planes: Planes::Color([plane(), plane(), plane()]), alpha: Some(plane()) }
+            }
+        };
+        let mut is_opaque = false;
+        for (part, overlap) in overlaps {
+            let filled = part.read_into(&mut raw, side, place, &overlap)?;
+            let covers = overlap.len() == place.len();
+            // A translucent texel over an opaque one is translucent.
+            is_opaque = match filled {
+                Filled::All => is_opaque || covers,
+                Filled::Part => false,
+                Filled::Nothing => is_opaque,
+            };
+        }
+        if is_opaque {
+            raw.alpha = None;
+            return Ok(Some(raw));
+        }
+        Ok(settled(raw, side, place))
+    }
+
+    fn skip(&self, page: PageAddress) {
+        let place = Place::of(self.grid.pyramid(), page);
+        for part in &self.parts {
+            for (col, row) in part.overlap(place).iter().flat_map(|overlap| part.blocks_of(overlap))
+            {
+                part.blocks.release(col, row);
+            }
+        }
+    }
+
+    fn may_have_holes(&self) -> bool {
+        let extent = self.grid.pyramid().extent();
+        let whole = |part: &Part| {
+            let info = part.raster.info();
+            (part.col, part.row, part.width, part.height) == (0, 0, extent.width, extent.height)
+                && info.nodata.is_none()
+                && !info.has_alpha
+                && !info.sample.is_float()
+        };
+        !self.parts.iter().any(whole)
+    }
+}
+
+/// A leaf with what alpha it needs; `None` if nothing is valid.
+fn settled(mut raw: Raw, side: usize, place: Place) -> Option<Raw> {
+    let alpha = raw.alpha.take().unwrap_or_else(|| match &raw.planes {
+        Planes::Height(heights) => {
+            heights.iter().map(|height| if height.is_nan() { 0 } else { u8::MAX }).collect()
+        }
+        Planes::Color([red, ..]) => vec![u8::MAX; red.len()],
+    });
+    let rows = alpha.chunks_exact(side).skip(1).take(place.height as usize);
+    let inside = rows.flat_map(|row| &row[1..=place.width as usize]);
+    let (least, greatest) = inside
+        .fold((u8::MAX, 0), |(least, greatest), &alpha| (alpha.min(least), alpha.max(greatest)));
+    raw.alpha = (least < u8::MAX).then_some(alpha);
+    (greatest > 0).then_some(raw)
+}
+
+impl Place {
+    /// Where a leaf's interior lies on the grid.
+    fn of(pyramid: &Pyramid, page: PageAddress) -> Self {
+        let (height, width) = pyramid.interior_size(page);
+        let interior = pyramid.interior();
+        Self { col: page.col * interior, row: page.row * interior, width, height }
+    }
+
+    fn len(self) -> usize {
+        self.width as usize * self.height as usize
+    }
+}
+
+/// What a raster and a leaf share.
+struct Overlap {
+    /// In the raster's own pixels.
+    cols: Range<u32>,
+    rows: Range<u32>,
+}
+
+impl Overlap {
+    fn len(&self) -> usize {
+        self.cols.len() * self.rows.len()
+    }
+}
+
+impl Part {
+    fn overlap(&self, leaf: Place) -> Option<Overlap> {
+        let shared = |leaf: u32, length: u32, part: u32, used: u32| {
+            let start = leaf.saturating_sub(part);
+            let end = (leaf + length).saturating_sub(part).min(used);
+            (start < end).then_some(start..end)
+        };
+        let rows = shared(leaf.row, leaf.height, self.row, self.height)?;
+        let cols = shared(leaf.col, leaf.width, self.col, self.width)?;
+        Some(Overlap { cols, rows })
+    }
+
+    /// Columns and rows of the blocks that hold what is shared.
+    fn blocks_of(&self, Overlap { cols, rows }: &Overlap) -> Vec<(u32, u32)> {
+        let info = self.raster.info();
+        let down = rows.start / info.block_height..=(rows.end - 1) / info.block_height;
+        let across = cols.start / info.block_width..=(cols.end - 1) / info.block_width;
+        down.flat_map(|row| across.clone().map(move |col| (col, row))).collect()
+    }
+
+    /// Lays this raster's pixels over the leaf at `place`, in pages of `side` texels, where it has
+    /// data.
+    fn read_into(
+        &self,
+        raw: &mut Raw,
+        side: usize,
+        place: Place,
+        overlap: &Overlap,
+    ) -> Result<Filled, RasterError> {
+        let info = self.raster.info();
+        let Overlap { cols, rows } = overlap;
+        let mut all: Option<Filled> = None;
+        for (block_col, block_row) in self.blocks_of(overlap) {
+            let block = self.blocks.get(block_col, block_row)?;
+            let whole = Window::of(&block);
+            let window = Window {
+                cols: whole.cols.start.max(cols.start)..whole.cols.end.min(cols.end),
+                rows: whole.rows.start.max(rows.start)..whole.rows.end.min(rows.end),
+            };
+            let to_row = (self.row + window.rows.start - place.row + Pyramid::BORDER) as usize;
+            let to_col = (self.col + window.cols.start - place.col + Pyramid::BORDER) as usize;
+            let at = to_row * side + to_col;
+            let filled = match &mut raw.planes {
+                Planes::Height(out) => heights_into(&block, info, &window, &mut out[at..], side),
+                Planes::Color(planes) => {
+                    let planes = planes.each_mut().map(|plane| &mut plane[at..]);
+                    let alpha = raw.alpha.as_mut().expect("colors are read with their alpha");
+                    colors_into(&block, info, &window, planes, &mut alpha[at..], side)?
+                }
+            };
+            all = Some(match all {
+                Some(before) if before != filled => Filled::Part,
+                _ => filled,
+            });
+            drop(block);
+            self.blocks.release(block_col, block_row);
+        }
+        Ok(all.unwrap_or(Filled::Nothing))
+    }
+}
