@@ -2,6 +2,8 @@
 //!
 //! Modules stand in the order of their dependencies: a file uses only files above it.
 
+pub mod lanes;
+
 pub mod units;
 
 pub mod body;

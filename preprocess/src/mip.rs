@@ -7,6 +7,7 @@
 
 use areoid_formats::bound::Span;
 use areoid_formats::codec::Quantum;
+use areoid_formats::lanes;
 
 use crate::texel::Texel;
 use crate::tile::{Tile, nothing};
@@ -84,18 +85,10 @@ fn halve_row<S: Texel>(
         if let Some(spans) = &mut parent.spans {
             let (low, high) = span_of(child, channel);
             let part = to..to + simple;
-            let pick = |a: S, b: S| if b < a { b } else { a };
-            fold_pairs(
-                [&low[upper.clone()], &low[lower.clone()]],
-                &mut spans[channel].least[part.clone()],
-                pick,
-            );
-            let pick = |a: S, b: S| if b > a { b } else { a };
-            fold_pairs(
-                [&high[upper.clone()], &high[lower.clone()]],
-                &mut spans[channel].greatest[part],
-                pick,
-            );
+            let rows = [&low[upper.clone()], &low[lower.clone()]];
+            fold_pairs(rows, &mut spans[channel].least[part.clone()], lanes::least);
+            let rows = [&high[upper.clone()], &high[lower.clone()]];
+            fold_pairs(rows, &mut spans[channel].greatest[part], lanes::greatest);
         }
     }
     let codes = parent.coverage.as_mut().expect("a blank tile has coverage");

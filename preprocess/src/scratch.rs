@@ -316,6 +316,7 @@ mod tests {
         let end = scratch.room().end;
         slots.into_iter().for_each(|slot| scratch.free(slot));
         scratch.put(&[&[2; 70_000]]).unwrap();
-        assert_eq!((scratch.room().end, scratch.room().free.len()), (end, 1));
+        let room = scratch.room();
+        assert_eq!((room.end, room.free.len()), (end, 1));
     }
 }

@@ -7,6 +7,7 @@ use std::sync::LazyLock;
 use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::bound;
 use areoid_formats::codec::{self, EncodeError, Quantum, Scratch};
+use areoid_formats::lanes;
 
 /// A leaf's texels, one plane a channel.
 #[derive(Clone, Debug, PartialEq)]
@@ -207,10 +208,10 @@ fn is_on_step(texels: &[f32], quantum: Quantum) -> bool {
     const ROUNDER: f32 = 12_582_912.0;
     const LARGEST: f32 = 4_194_304.0;
     quantum == (Quantum { step: 1.0, offset: 0.0 })
-        && texels.iter().fold(true, |all, &texel| {
+        && lanes::none(texels, |texel| {
             let rounded = texel + ROUNDER - ROUNDER;
-            let whole = rounded.to_bits() == texel.to_bits() && texel.abs() < LARGEST;
-            all & (whole | texel.is_nan())
+            let broken = (rounded.to_bits() != texel.to_bits()) | (texel.abs() >= LARGEST);
+            broken & !texel.is_nan()
         })
 }
 

@@ -6,6 +6,7 @@ use areoid_formats::address::PageAddress;
 use areoid_formats::archive::{Description, PageEntry, Payload};
 use areoid_formats::bound::{self, Cells, Child, Span};
 use areoid_formats::codec::{EncodeError, Scratch};
+use areoid_formats::lanes::{self, greatest, least};
 
 use crate::texel::Texel;
 use crate::tile::Tile;
@@ -179,24 +180,23 @@ impl Figures {
 
 /// Least and greatest valid texel of the interior and `margin` texels around it; NaN without any.
 fn range<S: Texel>(tile: &Tile<S>, margin: usize) -> (f32, f32) {
-    let (mut least, mut greatest) = S::NOTHING;
-    let mut widen = |texel: S| {
-        least = if texel < least { texel } else { least };
-        greatest = if texel > greatest { texel } else { greatest };
-    };
+    let mut range = S::NOTHING;
     for row in 1 - margin..=tile.rows + margin {
         let row = row * tile.side + 1 - margin..row * tile.side + 1 + tile.cols + margin;
         let covered = tile.coverage.as_ref().map(|codes| &codes[row.clone()]);
         for plane in &tile.planes {
             match covered.filter(|codes| codes.contains(&0)) {
-                None => plane[row.clone()].iter().for_each(|&texel| widen(texel)),
+                None => range = lanes::extremes(&plane[row.clone()], range),
                 Some(codes) => {
                     let texels = plane[row.clone()].iter().zip(codes);
-                    texels.filter(|(_, code)| **code != 0).for_each(|(&texel, _)| widen(texel));
+                    for (&texel, _) in texels.filter(|(_, code)| **code != 0) {
+                        range = (least(texel, range.0), greatest(texel, range.1));
+                    }
                 }
             }
         }
     }
+    let (least, greatest) = range;
     if least > greatest {
         return (f32::NAN, f32::NAN);
     }

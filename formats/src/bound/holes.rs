@@ -1,6 +1,6 @@
 //! Cells with missing taps around: point by point.
 
-use super::interval::Texel;
+use super::interval::{Row, Texel};
 use super::{Child, LATTICE, Window, parent_taps, taps};
 
 /// Finds the cells of a child beside holes, and puts their intervals right.
@@ -25,7 +25,7 @@ impl<'a, S: Texel> Holes<'a, S> {
         row: usize,
         (known_low, known_high): (&[S::Cell], &[S::Cell]),
         rounding: f64,
-        (low, high): (&mut [S::Cell], &mut [S::Cell]),
+        Row { low, high }: &mut Row<S>,
     ) {
         let interior = self.parent.side - 2;
         let (top, bottom, _) = parent_taps(self.child.row * interior + row, 1);

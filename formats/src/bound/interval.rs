@@ -3,6 +3,7 @@
 use std::ops::{Add, Mul, Sub};
 
 use super::{Child, Window, widen_by_child};
+use crate::lanes::{self, greatest, least};
 
 /// The intervals of a page's interior: `rows * cols` cells, row-major. Where no point of a cell has
 /// all taps, its interval is empty: `low > high`.
@@ -41,6 +42,26 @@ pub trait Texel: Copy + PartialOrd + Into<f64> + Send + Sync + 'static {
     );
 }
 
+/// The intervals of a row of cells, and of one more, empty, where the outline cuts the last pair.
+pub(super) struct Row<S: Texel> {
+    pub(super) low: Vec<S::Cell>,
+    pub(super) high: Vec<S::Cell>,
+}
+
+impl<S: Texel> Row<S> {
+    pub(super) fn empty(cols: usize) -> Self {
+        let (least, greatest) = S::EMPTY;
+        let count = cols.next_multiple_of(2);
+        Self { low: vec![least; count], high: vec![greatest; count] }
+    }
+
+    #[inline(always)]
+    pub(super) fn widen(&mut self, other: &Self) {
+        self.low.iter_mut().zip(&other.low).for_each(|(to, &low)| *to = least(low, *to));
+        self.high.iter_mut().zip(&other.high).for_each(|(to, &high)| *to = greatest(high, *to));
+    }
+}
+
 /// What differences at the lattice are computed in, in sixteenths.
 pub(super) trait Number<S: Texel>:
     Copy
@@ -58,18 +79,6 @@ pub(super) trait Number<S: Texel>:
 
     /// The upper end, likewise.
     fn high(self, known: S::Cell, rounding: f64) -> S::Cell;
-}
-
-/// `min` and `max` without a care for NaN, which is one instruction where theirs are several.
-#[inline(always)]
-pub(super) fn least<T: PartialOrd>(a: T, b: T) -> T {
-    if a < b { a } else { b }
-}
-
-/// See [`least`].
-#[inline(always)]
-pub(super) fn greatest<T: PartialOrd>(a: T, b: T) -> T {
-    if a > b { a } else { b }
 }
 
 impl Texel for f32 {
@@ -193,14 +202,11 @@ struct Magnitude {
 
 impl Magnitude {
     fn of(texels: &[f32]) -> Self {
+        let (least, most) = lanes::extremes(texels, (0.0, 0.0));
         // Adding and subtracting 1.5 2^23 rounds to a whole number below 2^22.
         const ROUNDER: f32 = 12_582_912.0;
-        let (mut largest, mut whole) = (0.0, true);
-        for &texel in texels {
-            largest = greatest(texel.abs(), largest);
-            whole &= texel == texel + ROUNDER - ROUNDER || texel.is_nan();
-        }
-        Self { largest, whole }
+        let broken = |texel: f32| (texel + ROUNDER - ROUNDER != texel) & !texel.is_nan();
+        Self { largest: greatest(-least, most), whole: lanes::none(texels, broken) }
     }
 
     fn is_small(self) -> bool {
@@ -225,8 +231,8 @@ impl<C: Copy + PartialOrd> Cells<C> {
     #[must_use]
     pub fn bound<S: Texel<Cell = C>>(&self) -> f32 {
         // Empty intervals, their ends the wrong way round, weigh in nowhere.
-        let low = self.low.iter().fold(S::EMPTY.0, |low, &here| least(here, low));
-        let high = self.high.iter().fold(S::EMPTY.1, |high, &here| greatest(here, high));
+        let (low, _) = lanes::extremes(&self.low, S::EMPTY);
+        let (_, high) = lanes::extremes(&self.high, S::EMPTY);
         rounded_up((-S::end(low)).max(S::end(high)).max(0.0))
     }
 
@@ -236,13 +242,13 @@ impl<C: Copy + PartialOrd> Cells<C> {
     }
 
     /// Widens the cells of `row` from `col` on by pairs of child cells.
-    #[inline]
-    pub(super) fn widen_row(&mut self, row: usize, col: usize, low: &[C], high: &[C]) {
+    #[inline(always)]
+    pub(super) fn widen_row<S: Texel<Cell = C>>(&mut self, row: usize, col: usize, by: &Row<S>) {
         let from = row * self.cols + col..(row + 1) * self.cols;
-        for (to, pair) in self.low[from.clone()].iter_mut().zip(low.as_chunks::<2>().0) {
+        for (to, pair) in self.low[from.clone()].iter_mut().zip(by.low.as_chunks::<2>().0) {
             *to = least(least(pair[0], pair[1]), *to);
         }
-        for (to, pair) in self.high[from].iter_mut().zip(high.as_chunks::<2>().0) {
+        for (to, pair) in self.high[from].iter_mut().zip(by.high.as_chunks::<2>().0) {
             *to = greatest(greatest(pair[0], pair[1]), *to);
         }
     }

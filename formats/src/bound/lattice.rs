@@ -12,8 +12,9 @@
 //!    16 R_l+1 4 (f of both sides) at an edge, 8 f at a center
 //! ```
 
-use super::interval::{Number, Texel, greatest, least};
+use super::interval::{Number, Row, Texel};
 use super::{Child, Window, parent_taps, taps};
+use crate::lanes::{greatest, least};
 
 /// Three lattice rows of a child: the top, the middle and the bottom of one row of its cells.
 pub(super) struct Lattice<'a, S: Texel, T> {
@@ -68,7 +69,7 @@ impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
         &self,
         known: (&[S::Cell], &[S::Cell]),
         rounding: f64,
-        (low, high): (&mut [S::Cell], &mut [S::Cell]),
+        Row { low, high }: &mut Row<S>,
     ) {
         let [top, middle, bottom] = &self.rows;
         let rows = top.low.iter().zip(&middle.low).zip(&bottom.low);

@@ -132,20 +132,24 @@ fn widen_by_child<S, T>(
     let (rows, cols) = child.size;
     let mut lattice = Lattice::<S, T>::new(parent, *child);
     let mut holes = holes::Holes::new(parent, *child);
-    // One more cell, empty, where the outline cuts the last pair.
-    let (least, greatest) = S::EMPTY;
-    let mut low = vec![least; cols.next_multiple_of(2)];
-    let mut high = vec![greatest; cols.next_multiple_of(2)];
+    let mut pair = interval::Row::<S>::empty(cols);
+    let mut lower = interval::Row::<S>::empty(cols);
     let zeros = vec![S::ZERO; cols];
     for row in 0..rows {
-        lattice.advance(row);
-        let (known_low, known_high) = match child.cells {
+        let known = match child.cells {
             Some(cells) => cells.row(row),
             None => (&zeros[..], &zeros[..]),
         };
-        lattice.intervals((known_low, known_high), rounding, (&mut low, &mut high));
-        holes.mend(row, (known_low, known_high), rounding, (&mut low, &mut high));
-        cells.widen_row((child.row * interior + row) / 2, child.col * interior / 2, &low, &high);
+        let intervals = if row % 2 == 0 { &mut pair } else { &mut lower };
+        lattice.advance(row);
+        lattice.intervals(known, rounding, intervals);
+        holes.mend(row, known, rounding, intervals);
+        if row % 2 == 1 {
+            pair.widen(&lower);
+        }
+        if row % 2 == 1 || row + 1 == rows {
+            cells.widen_row((child.row * interior + row) / 2, child.col * interior / 2, &pair);
+        }
     }
 }
 

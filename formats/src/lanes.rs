@@ -1,0 +1,85 @@
+//! Reductions over many numbers, several lanes at a time.
+//!
+//! Sums, least and greatest of floats depend on the order of their terms as far as a compiler
+//! knows, so a plain fold handles one at a time. These keep a lane each for every sixteenth number,
+//! which becomes vectors.
+
+const LANES: usize = 16;
+
+/// The least and greatest of `values` and of the two given, which stand for none; NaN counts for
+/// nothing.
+#[must_use]
+pub fn extremes<T: Copy + PartialOrd>(values: &[T], none: (T, T)) -> (T, T) {
+    let (mut low, mut high) = ([none.0; LANES], [none.1; LANES]);
+    let (chunks, rest) = values.as_chunks::<LANES>();
+    for chunk in chunks {
+        for lane in 0..LANES {
+            low[lane] = least(chunk[lane], low[lane]);
+            high[lane] = greatest(chunk[lane], high[lane]);
+        }
+    }
+    let fold = |values: &[T], (low, high): (T, T)| {
+        values.iter().fold((low, high), |(low, high), &v| (least(v, low), greatest(v, high)))
+    };
+    let (low, _) = fold(&low, none);
+    let (_, high) = fold(&high, none);
+    fold(rest, (low, high))
+}
+
+/// Whether `test` is false for all values. It is called for each, so that it becomes vectors, too.
+#[must_use]
+#[inline]
+pub fn none<T: Copy>(values: &[T], test: impl Fn(T) -> bool) -> bool {
+    let mut found = [0_u32; LANES];
+    let (chunks, rest) = values.as_chunks::<LANES>();
+    for chunk in chunks {
+        for lane in 0..LANES {
+            found[lane] |= u32::from(test(chunk[lane]));
+        }
+    }
+    found == [0; LANES] && !rest.iter().any(|&value| test(value))
+}
+
+/// The first if it is less than the second: one instruction, where `f32::min` with its care for
+/// NaN is several.
+#[inline(always)]
+pub fn least<T: PartialOrd>(a: T, b: T) -> T {
+    if a < b { a } else { b }
+}
+
+/// The first if it is greater than the second. See [`least`].
+#[inline(always)]
+pub fn greatest<T: PartialOrd>(a: T, b: T) -> T {
+    if a > b { a } else { b }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn lanes_find_what_a_fold_does(
+            mut values in prop::collection::vec(-9_i16..9, 0..70), nan in 0..70_usize, wanted: i16,
+        ) {
+            let sorted = { let mut sorted = values.clone(); sorted.sort_unstable(); sorted };
+            let expected = match (sorted.first(), sorted.last()) {
+                (Some(&low), Some(&high)) => (low, high),
+                _ => (i16::MAX, i16::MIN),
+            };
+            prop_assert_eq!(extremes(&values, (i16::MAX, i16::MIN)), expected);
+            prop_assert_eq!(none(&values, |v| v == wanted % 10), !values.contains(&(wanted % 10)));
+
+            let mut floats: Vec<f32> = values.iter().map(|&v| f32::from(v)).collect();
+            if nan < floats.len() {
+                floats[nan] = f32::NAN;
+                values.remove(nan);
+            }
+            let kept = values.iter().copied();
+            let low = kept.clone().min().map_or(f32::INFINITY, f32::from);
+            let high = kept.max().map_or(f32::NEG_INFINITY, f32::from);
+            prop_assert_eq!(extremes(&floats, (f32::INFINITY, f32::NEG_INFINITY)), (low, high));
+        }
+    }
+}
