@@ -73,7 +73,17 @@ impl Format {
         rows: impl Fn(Range<u32>) -> Vec<u8>,
     ) -> io::Result<()> {
         let samples = u64::from(self.width) * u64::from(self.height) * self.pixel_bytes() as u64;
-        let mut file = Writer::start(BufWriter::new(File::create(path)?), samples)?;
+        let offsets = if samples > CLASSIC_BYTES { Offsets::Eight } else { Offsets::Four };
+        self.write_to(BufWriter::new(File::create(path)?), offsets, rows)
+    }
+
+    fn write_to(
+        &self,
+        sink: impl Write + Seek,
+        width: Offsets,
+        rows: impl Fn(Range<u32>) -> Vec<u8>,
+    ) -> io::Result<()> {
+        let mut file = Writer::start(sink, width)?;
         let (block_width, block_height) = self.block();
         let (mut offsets, mut lengths) = (Vec::new(), Vec::new());
         for first in (0..self.height).step_by(block_height as usize) {
@@ -196,6 +206,15 @@ enum Values {
     Place(Vec<u64>),
 }
 
+/// How wide a file's offsets are, in bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Offsets {
+    /// TIFF.
+    Four,
+    /// `BigTIFF`.
+    Eight,
+}
+
 /// A file that grows block by block.
 struct Writer<W> {
     sink: W,
@@ -204,8 +223,8 @@ struct Writer<W> {
 }
 
 impl<W: Write + Seek> Writer<W> {
-    fn start(mut sink: W, samples_bytes: u64) -> io::Result<Self> {
-        let is_big = samples_bytes > CLASSIC_BYTES;
+    fn start(mut sink: W, offsets: Offsets) -> io::Result<Self> {
+        let is_big = offsets == Offsets::Eight;
         let header: &[u8] = if is_big {
             &[b'I', b'I', 43, 0, 8, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
         } else {
@@ -275,6 +294,64 @@ impl<W: Write + Seek> Writer<W> {
             Values::Place(values) => {
                 let kind = if self.is_big { 16 } else { 4 };
                 (kind, values.len(), values.iter().flat_map(|&value| self.place(value)).collect())
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use areoid_preprocess::raster::{self, ReadOptions, Samples};
+
+    /// Samples that no two pixels near one another share.
+    fn samples(format: &Format, rows: Range<u32>) -> Vec<u8> {
+        let values = u64::from(format.width) * u64::from(format.bands);
+        let bytes = usize::from(format.sample_bytes);
+        (u64::from(rows.start) * values..u64::from(rows.end) * values)
+            .flat_map(|place| (place * 40_503 % 65_521).to_le_bytes().into_iter().take(bytes))
+            .collect()
+    }
+
+    #[test]
+    fn what_is_written_is_read_in_tiles_and_strips_and_with_both_widths_of_offsets() {
+        for blocks in [Blocks::Tiles(16), Blocks::Strips(5)] {
+            for offsets in [Offsets::Four, Offsets::Eight] {
+                for (bands, sample_bytes, missing) in [(1, 2, Some(-32_768)), (3, 1, None)] {
+                    let (width, height) = (74, 37);
+                    let format = Format { width, height, bands, sample_bytes, missing, blocks };
+                    let file = tempfile::Builder::new().suffix(".tif").tempfile().unwrap();
+                    format
+                        .write_to(file.as_file(), offsets, |rows| samples(&format, rows))
+                        .unwrap();
+
+                    let found = raster::open(file.path(), &ReadOptions::default()).unwrap();
+                    let info = found.info();
+                    assert_eq!((info.width, info.height, info.bands), (width, height, bands));
+                    assert_eq!(info.nodata, missing.map(f64::from));
+                    assert_eq!(info.outline.extent(width, height), [-180.0, -90.0, 180.0, 90.0]);
+                    assert_eq!(info.crs.unwrap().ellipsoid.a().0, MARS_RADIUS_M);
+                    let stride = width as usize * format.pixel_bytes();
+                    let (across, down) = info.blocks();
+                    for place in 0..across * down {
+                        let block = found.read_block(place % across, place / across).unwrap();
+                        let at = block.col as usize * format.pixel_bytes();
+                        let len = block.width as usize * format.pixel_bytes();
+                        let expected = samples(&format, block.row..block.row + block.height);
+                        let expected: Vec<u8> = expected
+                            .chunks_exact(stride)
+                            .flat_map(|row| row[at..at + len].to_vec())
+                            .collect();
+                        let read: Vec<u8> = match block.samples {
+                            Samples::U8(samples) => samples,
+                            Samples::I16(samples) => {
+                                samples.iter().flat_map(|sample| sample.to_le_bytes()).collect()
+                            }
+                            other => panic!("{other:?}"),
+                        };
+                        assert_eq!(read, expected, "{format:?} {offsets:?} block {place}");
+                    }
+                }
             }
         }
     }
