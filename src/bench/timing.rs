@@ -34,6 +34,8 @@ pub(super) struct Taken {
     pub(super) wall_s: f64,
     /// User and system time, in steps of 10 ms.
     pub(super) cpu_s: f64,
+    /// The part of it that the system took for them.
+    pub(super) system_s: f64,
     /// The most anonymous memory that any step was seen to hold.
     pub(super) peak_anonymous_bytes: u64,
     /// The most resident memory of any step, mapped files included.
@@ -107,6 +109,7 @@ impl Contender {
             }
             taken.wall_s += step_taken.wall_s;
             taken.cpu_s += step_taken.cpu_s;
+            taken.system_s += step_taken.system_s;
             let most = |of: fn(&Taken) -> u64| of(&taken).max(of(&step_taken));
             (taken.peak_anonymous_bytes, taken.peak_resident_bytes) =
                 (most(|taken| taken.peak_anonymous_bytes), most(|taken| taken.peak_resident_bytes));
@@ -129,7 +132,7 @@ pub(super) fn remove(folder: &std::path::Path) -> io::Result<()> {
 
 /// Runs a process to its end, and whether that was a good one.
 fn run(command: &mut Command) -> io::Result<(Taken, bool)> {
-    let cpu_before = children_cpu_s();
+    let [user_before, system_before] = children_cpu_s();
     let start = Instant::now();
     let mut child = command.spawn()?;
     let status_file = PathBuf::from(format!("/proc/{}/status", child.id()));
@@ -151,9 +154,11 @@ fn run(command: &mut Command) -> io::Result<(Taken, bool)> {
         over.store(true, Ordering::Relaxed);
         (status, wall, watching.join().unwrap_or_default())
     });
+    let [user, system] = children_cpu_s();
     let taken = Taken {
         wall_s: wall.as_secs_f64(),
-        cpu_s: children_cpu_s() - cpu_before,
+        cpu_s: user - user_before + system - system_before,
+        system_s: system - system_before,
         peak_anonymous_bytes: anonymous,
         peak_resident_bytes: resident,
     };
@@ -170,17 +175,17 @@ fn field_bytes(status: &str, field: &str) -> Option<u64> {
 /// The step of [`children_cpu_s`] on every Linux.
 const TICK_S: f64 = 0.01;
 
-/// Processor seconds of all children that have been waited for, and of theirs; 0 if the system
-/// does not tell.
-fn children_cpu_s() -> f64 {
+/// User and system seconds of all children that have been waited for, and of theirs; 0 if the
+/// system does not tell.
+fn children_cpu_s() -> [f64; 2] {
     // Fields 16 and 17 of proc(5), counted behind the command's closing parenthesis.
     let read = || {
         let stat = fs::read_to_string("/proc/self/stat").ok()?;
         let mut fields = stat.rsplit_once(')')?.1.split_whitespace().skip(13);
-        let mut ticks = || fields.next()?.parse::<f64>().ok();
-        Some((ticks()? + ticks()?) * TICK_S)
+        let mut seconds = || Some(fields.next()?.parse::<f64>().ok()? * TICK_S);
+        Some([seconds()?, seconds()?])
     };
-    read().unwrap_or(0.0)
+    read().unwrap_or_default()
 }
 
 /// Seconds that this thread has run, if the system tells.
