@@ -1,6 +1,7 @@
 //! The command line: arguments to calls, results to text.
 
 mod args;
+mod bench;
 mod failure;
 mod height;
 mod info;

@@ -13,10 +13,8 @@ pub fn extremes<T: Copy + PartialOrd>(values: &[T], none: (T, T)) -> (T, T) {
     let (mut low, mut high) = ([none.0; LANES], [none.1; LANES]);
     let (chunks, rest) = values.as_chunks::<LANES>();
     for chunk in chunks {
-        for lane in 0..LANES {
-            low[lane] = least(chunk[lane], low[lane]);
-            high[lane] = greatest(chunk[lane], high[lane]);
-        }
+        low.iter_mut().zip(chunk).for_each(|(low, &value)| *low = least(value, *low));
+        high.iter_mut().zip(chunk).for_each(|(high, &value)| *high = greatest(value, *high));
     }
     let fold = |values: &[T], (low, high): (T, T)| {
         values.iter().fold((low, high), |(low, high), &v| (least(v, low), greatest(v, high)))

@@ -13,7 +13,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use areoid_formats::address::PageAddress;
+use areoid_formats::address::{PageAddress, PageKey};
 use areoid_formats::archive::{Archive, ArchiveError, PageEntry};
 use areoid_formats::page::{Page, Texels};
 use areoid_formats::pyramid::Pyramid;
@@ -31,6 +31,20 @@ pub struct Report {
     pub problems: Vec<String>,
     /// One for each level, coarsest first.
     pub levels: Vec<LevelReport>,
+    /// One for each page above the finest level that has leaves to be held against, in the order
+    /// of keys.
+    pub pages: Vec<PageError>,
+}
+
+/// How far a page is from the finest level, and says it may be; in meters or color codes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PageError {
+    /// Which page.
+    pub page: PageAddress,
+    /// What it says.
+    pub bound: f64,
+    /// The supremum of `|R_l − R_L|` over the page, with the stored leaves for `R_L`.
+    pub exact: f64,
 }
 
 /// What a verification found about a level, in meters or color codes.
@@ -67,7 +81,7 @@ const KEPT_PAGES: usize = 256;
 ///
 /// [`VerifyError`] if something cannot be read at all; damage is in the report.
 pub fn verify(archive: &Archive, source: Option<&dyn Leaves>) -> Result<Report, VerifyError> {
-    let mut report = Report { problems: archive.damage()?, levels: Vec::new() };
+    let mut report = Report { problems: archive.damage()?, ..Report::default() };
     let pyramid = archive.description().grid.pyramid();
     let entries: HashMap<PageAddress, PageEntry> =
         archive.entries()?.into_iter().map(|entry| (entry.page, entry)).collect();
@@ -79,7 +93,7 @@ pub fn verify(archive: &Archive, source: Option<&dyn Leaves>) -> Result<Report, 
         report.levels.push(LevelReport { bound_max, ..LevelReport::default() });
     }
     let mut sorted: Vec<&PageEntry> = entries.values().collect();
-    sorted.sort_by_key(|entry| areoid_formats::address::PageKey::from(entry.page));
+    sorted.sort_by_key(|entry| PageKey::from(entry.page));
 
     let of_pages: Vec<String> = sorted
         .par_iter()
@@ -368,10 +382,13 @@ fn check_bounds(reader: &Reader<'_>, suprema: &[(PageAddress, f64)], report: &mu
         *largest = largest.max(supremum);
     }
     let mut breaches: Vec<String> = Vec::new();
-    for (page, supremum) in by_page {
+    let mut suprema: Vec<(PageAddress, f64)> = by_page.into_iter().collect();
+    suprema.sort_by_key(|&(page, _)| PageKey::from(page));
+    for (page, supremum) in suprema {
         let level = &mut report.levels[usize::from(page.level.0)];
         level.exact_max = level.exact_max.max(supremum);
         let bound = reader.entries.get(&page).map_or(0.0, |entry| f64::from(entry.bound));
+        report.pages.push(PageError { page, bound, exact: supremum });
         // Reconstructing in f64 rounds, too.
         let rounding = 1e-12 * supremum;
         if bound.is_nan() || supremum - rounding > bound + slack {

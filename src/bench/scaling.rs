@@ -1,0 +1,147 @@
+//! The same terrain at growing sizes under one limit of memory: time should grow as the pixels do,
+//! and memory should not.
+
+use std::fs::File;
+use std::io;
+use std::path::PathBuf;
+
+use serde_json::{Value, json};
+
+use super::ingest::Setting;
+use super::pairs::MIB;
+use super::rasters::{Look, Recipe};
+use super::report::{Chapter, Relation, Spread, Table, Target};
+use super::timing::{Contender, Taken};
+use crate::output;
+
+/// Megapixels at full size; the last is 43200 by 21600.
+const FULL_MEGAPIXELS: [f64; 4] = [50.0, 200.0, 450.0, 933.12];
+
+/// The limit given to every ingest, in MiB.
+const MEMORY_MIB: u32 = 512;
+
+/// Large maps take long: no more runs than this.
+const MOST_RUNS: usize = 3;
+
+/// Processor seconds per pixel may differ so much from those of the smallest map.
+const LINEAR_WITHIN: f64 = 0.1;
+
+/// The maps.
+pub(super) fn recipes(setting: &Setting) -> Vec<Recipe> {
+    let sizes = FULL_MEGAPIXELS.iter();
+    sizes.map(|&size| Recipe::tiled(Look::Height, setting.map(size))).collect()
+}
+
+/// What was measured of one map.
+struct Map {
+    recipe: Recipe,
+    path: PathBuf,
+    runs: Vec<Taken>,
+    /// `peak_memory_bytes` as each ingest says it.
+    said_peaks: Vec<f64>,
+}
+
+/// Measures.
+pub(super) fn measure(setting: &Setting) -> io::Result<Chapter> {
+    let mut maps = Vec::new();
+    for recipe in recipes(setting) {
+        let path = recipe.make(&setting.rasters())?;
+        maps.push(Map { recipe, path, runs: Vec::new(), said_peaks: Vec::new() });
+    }
+    for _ in 0..setting.runs.min(MOST_RUNS) {
+        for map in &mut maps {
+            output::say(format!("running {}", map.recipe.name()));
+            map.run(setting)?;
+        }
+    }
+
+    let rows = maps.iter().map(Map::row).collect();
+    let cost = |map: &Map| map.spread(|taken| taken.cpu_s / map.recipe.megapixels());
+    let first = maps.first().map(cost).map_or(f64::NAN, |cost| cost.median);
+    let off = maps.iter().map(|map| (cost(map).median / first - 1.0).abs()).fold(0.0, f64::max);
+    let last = maps.last().expect("there are four maps");
+    let polled = last.spread(|taken| taken.peak_anonymous_bytes as f64 / MIB).max;
+    let told = last.said_peaks.iter().fold(0.0, |most: f64, &peak| most.max(peak)) / MIB;
+    let name = format!("{}×{}", last.recipe.width, last.recipe.height);
+    let targets = vec![
+        Target::new(
+            "CPU per pixel: farthest from that of the smallest map",
+            Relation::AtMost,
+            LINEAR_WITHIN,
+            Some(off),
+        ),
+        Target::new(
+            format!("{name}: peak memory in MiB, polled or told"),
+            Relation::AtMost,
+            MEMORY_MIB.into(),
+            Some(polled.max(told)),
+        ),
+    ];
+    let head = vec![
+        "map",
+        "Mpx",
+        "wall s",
+        "CPU s",
+        "CPU ms per Mpx",
+        "anonymous MiB, polled",
+        "as told",
+        "resident MiB",
+    ];
+    Ok(Chapter {
+        name: "scaling",
+        title: "From small maps to large",
+        notes: vec![format!(
+            "`areoid ingest --memory-mib {MEMORY_MIB}` of the same terrain, sizes in turn, each file \
+             read once before its run. Memory is polled from outside every 5 ms, and as the ingest \
+             itself tells it. Median (least–greatest)."
+        )],
+        tables: vec![Table { title: "Sizes".to_owned(), head, rows }],
+        targets,
+        data: maps.iter().map(Map::json).collect(),
+    })
+}
+
+impl Map {
+    fn run(&mut self, setting: &Setting) -> io::Result<()> {
+        io::copy(&mut File::open(&self.path)?, &mut io::sink())?;
+        let folder = setting.work().join("scaling");
+        let mut ingest = setting.ingest(&self.path, &folder.join("catalog"));
+        ingest.args(["--memory-mib", &MEMORY_MIB.to_string()]);
+        let mut contender = Contender { name: "areoid ingest", steps: vec![ingest], folder };
+        let (taken, said) = contender.run()?.map_err(io::Error::other)?;
+        self.runs.push(taken);
+        let said: Value = serde_json::from_str(&said)?;
+        self.said_peaks.extend(said["peak_memory_bytes"].as_f64());
+        Ok(())
+    }
+
+    fn spread(&self, figure: impl Fn(&Taken) -> f64) -> Spread {
+        Spread::of(self.runs.iter().map(figure)).expect("there is at least one run")
+    }
+
+    fn row(&self) -> Vec<String> {
+        let megapixels = self.recipe.megapixels();
+        let told = Spread::of(self.said_peaks.iter().map(|peak| peak / MIB));
+        vec![
+            format!("{}×{}", self.recipe.width, self.recipe.height),
+            format!("{megapixels:.1}"),
+            self.spread(|taken| taken.wall_s).text(2),
+            self.spread(|taken| taken.cpu_s).text(2),
+            self.spread(|taken| 1e3 * taken.cpu_s / megapixels).text(1),
+            self.spread(|taken| taken.peak_anonymous_bytes as f64 / MIB).text(0),
+            told.map_or_else(|| "–".to_owned(), |told| told.text(0)),
+            self.spread(|taken| taken.peak_resident_bytes as f64 / MIB).text(0),
+        ]
+    }
+
+    fn json(&self) -> Value {
+        json!({
+            "raster": self.recipe.name(),
+            "width": self.recipe.width,
+            "height": self.recipe.height,
+            "memory_mib": MEMORY_MIB,
+            "runs": self.runs,
+            "told_peak_memory_bytes": self.said_peaks,
+        })
+    }
+}

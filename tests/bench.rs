@@ -1,0 +1,95 @@
+//! `areoid bench`: reports are complete, and say who was not there to be compared with.
+
+#![expect(clippy::unwrap_used, reason = "a failed test may panic")]
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+/// `areoid bench ingest` into `folder`, where no other program is to be found; its JSON.
+fn ingest(folder: &Path, options: &[&str]) -> Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_areoid"))
+        .args(["bench", "ingest", "--json", "--runs", "1", "-o"])
+        .arg(folder)
+        .args(options)
+        .current_dir(folder)
+        .env("PATH", "")
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn array<'a>(document: &'a Value, pointer: &str) -> &'a [Value] {
+    document.pointer(pointer).and_then(Value::as_array).map(Vec::as_slice).unwrap()
+}
+
+#[test]
+fn a_tiny_book_is_complete_and_names_who_is_absent() {
+    let folder = tempfile::tempdir().unwrap();
+    let report = ingest(folder.path(), &["--megapixels", "0.02"]);
+    let written = fs::read(folder.path().join("ingest.json")).unwrap();
+    assert_eq!(serde_json::from_slice::<Value>(&written).unwrap(), report);
+
+    for peer in array(&report, "/peers") {
+        assert_eq!(peer["found"], false, "{peer}");
+    }
+    let tables = fs::read_to_string(folder.path().join("ingest.md")).unwrap();
+    assert!(tables.contains("Absent, and not compared with: vips, lz4, gdal_translate."));
+
+    let rasters = array(&report, "/chapters/pairs");
+    assert_eq!(rasters.len(), 4);
+    for raster in rasters {
+        let contenders = array(raster, "/contenders");
+        let names: Vec<_> = contenders.iter().map(|runs| runs["name"].as_str().unwrap()).collect();
+        assert_eq!(names, ["areoid ingest", "areoid decode"]);
+        for contender in contenders {
+            assert_eq!(contender["failed"], Value::Null);
+            assert!(contender["runs"][0]["wall_s"].as_f64().unwrap() > 0.0);
+        }
+    }
+    assert_eq!(array(&report, "/chapters/tightness").len(), 2);
+    let leaves = &report["chapters"]["size"][0];
+    assert!(leaves["stored_bytes"].as_u64().unwrap() > 0 && leaves["over_gdal"].is_null());
+    assert!(leaves["decode_int16_bytes_per_s"]["median"].as_f64().unwrap() > 0.0);
+    for map in array(&report, "/chapters/scaling") {
+        assert!(map["runs"][0]["peak_resident_bytes"].as_u64().is_some());
+    }
+
+    let targets = array(&report, "/targets");
+    for target in targets {
+        assert_eq!(target["met"].is_null(), target["measured"].is_null(), "{target}");
+        assert!(tables.contains(target["what"].as_str().unwrap()), "{target}");
+    }
+    let absent = targets.iter().filter(|target| target["what"].as_str().unwrap().contains("vips"));
+    assert!(absent.into_iter().all(|target| target["measured"].is_null()));
+    assert!(!folder.path().join("work").exists(), "nothing but results and rasters stays");
+}
+
+#[test]
+fn bounds_of_made_up_terrain_hold_and_its_rasters_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = ["--megapixels", "1.2", "--chapter", "tightness"];
+    let report = ingest(folder.path(), &options);
+    let rasters = || {
+        let files = fs::read_dir(folder.path().join("rasters")).unwrap();
+        let mut found: Vec<_> = files
+            .map(|file| file.unwrap())
+            .map(|file| (file.path(), file.metadata().unwrap().modified().unwrap()))
+            .collect();
+        found.sort();
+        found
+    };
+    let made = rasters();
+    assert_eq!(made.len(), 2);
+    let terrain = &report["chapters"]["tightness"][0];
+    assert_eq!(array(terrain, "/problems"), &[] as &[Value]);
+    assert_eq!(terrain["has_holes"], false);
+    assert!(terrain["levels"][0]["min"].as_f64().unwrap() >= 1.0, "{terrain}");
+    assert_eq!(report["chapters"]["tightness"][1]["has_holes"], true);
+
+    assert_eq!(ingest(folder.path(), &options)["chapters"], report["chapters"]);
+    assert_eq!(rasters(), made);
+}
