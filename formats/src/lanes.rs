@@ -10,18 +10,20 @@ const LANES: usize = 16;
 /// nothing.
 #[must_use]
 pub fn extremes<T: Copy + PartialOrd>(values: &[T], none: (T, T)) -> (T, T) {
-    let (mut low, mut high) = ([none.0; LANES], [none.1; LANES]);
+    // One after the other: together they become no vectors.
+    (reduce(values, none.0, least), reduce(values, none.1, greatest))
+}
+
+#[inline(always)]
+fn reduce<T: Copy>(values: &[T], none: T, pick: impl Fn(T, T) -> T) -> T {
+    let mut picked = [none; LANES];
     let (chunks, rest) = values.as_chunks::<LANES>();
     for chunk in chunks {
-        low.iter_mut().zip(chunk).for_each(|(low, &value)| *low = least(value, *low));
-        high.iter_mut().zip(chunk).for_each(|(high, &value)| *high = greatest(value, *high));
+        for lane in 0..LANES {
+            picked[lane] = pick(chunk[lane], picked[lane]);
+        }
     }
-    let fold = |values: &[T], (low, high): (T, T)| {
-        values.iter().fold((low, high), |(low, high), &v| (least(v, low), greatest(v, high)))
-    };
-    let (low, _) = fold(&low, none);
-    let (_, high) = fold(&high, none);
-    fold(rest, (low, high))
+    picked.iter().chain(rest).fold(none, |picked, &value| pick(value, picked))
 }
 
 /// Whether `test` is false for all values. It is called for each, so that it becomes vectors, too.
