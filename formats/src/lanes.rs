@@ -6,12 +6,21 @@
 
 const LANES: usize = 16;
 
+/// Does `work` compiled for the widest vectors that this processor has.
+///
+/// What is to profit must be inlined into it, and must not depend on the order of roundings: the
+/// result is the same on every processor.
+#[inline]
+pub fn vectorized<R>(work: impl FnOnce() -> R) -> R {
+    pulp::Arch::new().dispatch(work)
+}
+
 /// The least and greatest of `values` and of the two given, which stand for none; NaN counts for
 /// nothing.
 #[must_use]
 pub fn extremes<T: Copy + PartialOrd>(values: &[T], none: (T, T)) -> (T, T) {
     // One after the other: together they become no vectors.
-    (reduce(values, none.0, least), reduce(values, none.1, greatest))
+    vectorized(|| (reduce(values, none.0, least), reduce(values, none.1, greatest)))
 }
 
 #[inline(always)]

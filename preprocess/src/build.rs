@@ -16,6 +16,7 @@ use std::time::{Duration, Instant};
 
 use areoid_formats::address::PageAddress;
 use areoid_formats::archive::{ArchiveWriter, Description, Unfinished, Written};
+use areoid_formats::codec::Quantum;
 use areoid_formats::page::Kind;
 use rayon::prelude::*;
 
@@ -26,7 +27,7 @@ use crate::note::Note;
 use crate::raster::RasterError;
 use crate::schedule::{Schedule, Step};
 use crate::scratch::Scratch;
-use crate::shop::Shop;
+use crate::shop::{Shop, SourceTraits};
 use crate::texel::Texel;
 use crate::tile::Raw;
 use crate::whole::Payloads;
@@ -51,6 +52,11 @@ pub trait Leaves: Sync {
     /// Whether a texel inside the outline may be invalid.
     fn may_have_holes(&self) -> bool {
         true
+    }
+
+    /// Whether every height is known to be a whole number of meters, below 2^22.
+    fn is_whole(&self) -> bool {
+        false
     }
 }
 
@@ -156,9 +162,13 @@ fn build_of<S: Texel, W: Site + Send>(
 ) -> Result<(W, Written), BuildError> {
     let start = Instant::now();
     let mut schedule = Schedule::new(description.grid.pyramid(), description.unit_pages, HALO);
-    let spans = if leaves.may_have_holes() { Spans::Kept } else { Spans::Unneeded };
+    let meters = description.quantum == (Quantum { step: 1.0, offset: 0.0 });
+    let source = SourceTraits {
+        spans: if leaves.may_have_holes() { Spans::Kept } else { Spans::Unneeded },
+        is_on_step: meters && leaves.is_whole(),
+    };
     let scratch = Arc::clone(&means.scratch);
-    let mut shop = Shop::<S>::new(description, spans, scratch, means.frontier_bytes);
+    let mut shop = Shop::<S>::new(description, source, scratch, means.frontier_bytes);
     let mut progress = Progress {
         units_done: 0,
         units_resumed: 0,

@@ -224,6 +224,8 @@ struct Head {
     cols: u64,
     /// 1 originals, 2 coverage, 4 spans, 8 cells.
     parts: u64,
+    /// The range of the texels, each end in the first bytes.
+    range: [[u8; 4]; 2],
 }
 
 impl<S: Texel> Kept<S> {
@@ -252,11 +254,14 @@ impl<S: Texel> Kept<S> {
     }
 
     fn save(&self, scratch: &Scratch) -> io::Result<Slot> {
-        let Tile { side, rows, cols, original, coverage, spans, .. } = &self.tile;
+        let Tile { side, rows, cols, original, coverage, spans, range, .. } = &self.tile;
         let flags = [original.is_some(), coverage.is_some(), spans.is_some(), self.cells.is_some()];
         let parts = flags.iter().rev().fold(0, |parts, &flag| parts << 1 | u64::from(flag));
         let [side, rows, cols] = [*side, *rows, *cols].map(|size| size as u64);
-        let head = Head { side, rows, cols, parts };
+        let mut head = Head { side, rows, cols, parts, range: [[0; 4]; 2] };
+        for (bytes, end) in head.range.iter_mut().zip([range.0, range.1]) {
+            bytes[..size_of::<S>()].copy_from_slice(bytemuck::bytes_of(&end));
+        }
         let mut arrays = self.arrays();
         arrays.insert(0, bytemuck::bytes_of(&head));
         scratch.put(&arrays)
@@ -288,7 +293,10 @@ impl<S: Texel> Kept<S> {
         } else {
             None
         };
-        let tile = Tile { side, rows, cols, planes, original, coverage, spans };
+        let [least, greatest] =
+            head.range.map(|bytes| bytemuck::pod_read_unaligned(&bytes[..size_of::<S>()]));
+        let range = (least, greatest);
+        let tile = Tile { side, rows, cols, planes, original, coverage, spans, range };
         rest.is_empty().then_some(Self { tile, cells })
     }
 }
@@ -336,6 +344,7 @@ mod tests {
                 original: has(0).then(|| planes(3)),
                 coverage: has(1).then(|| (0..100).collect()),
                 spans: has(2).then(|| (0..S::CHANNELS).map(span).collect()),
+                range: (texels(1), texels(2)),
             },
             cells: has(3).then(|| vec![cells; S::CHANNELS]),
         }

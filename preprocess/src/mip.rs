@@ -81,7 +81,8 @@ fn halve_row<S: Texel>(
     for channel in 0..S::CHANNELS {
         let plane = &child.planes[channel];
         let rows = [&plane[upper.clone()], &plane[lower.clone()]];
-        S::halve(rows, quantum, &mut parent.planes[channel][to..to + simple]);
+        let out = &mut parent.planes[channel][to..to + simple];
+        lanes::vectorized(|| S::halve(rows, quantum, out));
         if let Some(spans) = &mut parent.spans {
             let (low, high) = span_of(child, channel);
             let part = to..to + simple;

@@ -28,10 +28,19 @@ use crate::texel::Texel;
 use crate::tile::{Border, Raw, Tile};
 use crate::whole::{self, Payloads, Whole, WholeChild};
 
+/// What need not be done for the leaves of a source.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SourceTraits {
+    /// Whether finest texels are kept for bounds beside holes.
+    pub(crate) spans: Spans,
+    /// Whether every leaf is on the dataset's step as it is read.
+    pub(crate) is_on_step: bool,
+}
+
 /// What is under construction.
 pub(crate) struct Shop<'a, S: Texel> {
     description: &'a Description,
-    spans: Spans,
+    source: SourceTraits,
     scratch: Arc<Scratch>,
     frontier: Frontier<S>,
     /// Of the leaves that a feather may still reach.
@@ -51,13 +60,13 @@ pub(crate) type Finished = (PageAddress, Option<(PageEntry, Vec<u8>)>);
 impl<'a, S: Texel> Shop<'a, S> {
     pub(crate) fn new(
         description: &'a Description,
-        spans: Spans,
+        source: SourceTraits,
         scratch: Arc<Scratch>,
         frontier_bytes: u64,
     ) -> Self {
         Self {
             description,
-            spans,
+            source,
             frontier: Frontier::new(Arc::clone(&scratch), frontier_bytes),
             scratch,
             validity: HashMap::new(),
@@ -189,8 +198,8 @@ impl<'a, S: Texel> Shop<'a, S> {
                 continue;
             };
             let planes = S::channels(planes);
-            let tile =
-                Tile { side, rows, cols, planes, original: None, coverage: alpha, spans: None };
+            let (original, spans, range) = (None, None, S::NOTHING);
+            let tile = Tile { side, rows, cols, planes, original, coverage: alpha, spans, range };
             let validity = tile.coverage.as_ref().map_or(Validity::Full, |alpha| {
                 Validity::of(cols, (0..rows).map(|row| &alpha[tile.row(row)]))
             });
@@ -232,8 +241,10 @@ impl<'a, S: Texel> Shop<'a, S> {
             let validity = |leaf| &shop.validity[&leaf];
             *coverage = feather::coverage(shop.pyramid(), page, coverage.as_deref(), validity);
             let quantum = shop.description.quantum;
-            *original =
-                S::to_step(planes, quantum).ok_or(BuildError::Step { page, step: quantum.step })?;
+            if !shop.source.is_on_step {
+                let settled = S::to_step(planes, quantum);
+                *original = settled.ok_or(BuildError::Step { page, step: quantum.step })?;
+            }
             Ok(())
         })?;
         Ok(())
@@ -250,7 +261,7 @@ impl<'a, S: Texel> Shop<'a, S> {
                     .collect();
                 let (rows, cols) = pyramid.interior_size(page);
                 let (side, size) = (pyramid.page_side() as usize, (rows as usize, cols as usize));
-                mip::parent(side, size, &children, self.description.quantum, self.spans)
+                mip::parent(side, size, &children, self.description.quantum, self.source.spans)
             })
             .collect();
         for (&page, tile) in parents.iter().zip(settled) {
@@ -285,8 +296,9 @@ impl<'a, S: Texel> Shop<'a, S> {
         }
         let wholes = self.change(borders, |shop, page, border, kept| {
             kept.tile.close(&border);
-            let Whole { entry, payload, cells } = shop.finish(page, &kept.tile, payloads)?;
+            let Whole { entry, payload, cells, range } = shop.finish(page, &kept.tile, payloads)?;
             kept.cells = cells;
+            kept.tile.range = range;
             Ok((entry, payload))
         })?;
         let mut wholes = wholes.into_iter().peekable();

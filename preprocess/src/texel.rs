@@ -102,6 +102,7 @@ impl Texel for f32 {
         Self::stored(sum / texels.len() as f64, quantum)
     }
 
+    #[inline(always)]
     fn halve([upper, lower]: [&[Self]; 2], quantum: Quantum, out: &mut [Self]) {
         let pairs = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
         let sums = pairs

@@ -48,6 +48,8 @@ pub struct Tile<S> {
     /// The finest texels under each texel, a plane a channel; `None` for leaves, and where the
     /// source cannot have holes.
     pub spans: Option<Vec<Span<S>>>,
+    /// Valid texels of the finished page, border included, are not less or greater than these.
+    pub range: (S, S),
 }
 
 impl<S: Texel> Tile<S> {
@@ -56,7 +58,8 @@ impl<S: Texel> Tile<S> {
     pub fn blank(side: usize, (rows, cols): (usize, usize)) -> Self {
         let planes = vec![vec![S::INVALID; side * side]; S::CHANNELS];
         let coverage = Some(vec![0; side * side]);
-        Self { side, rows, cols, planes, original: None, coverage, spans: None }
+        let (original, spans, range) = (None, None, S::NOTHING);
+        Self { side, rows, cols, planes, original, coverage, spans, range }
     }
 
     /// Where a texel of the interior lies.
@@ -104,7 +107,7 @@ pub(crate) fn nothing<S: Texel>(count: usize) -> Span<S> {
 }
 
 /// The parts of a page's rows outside its interior, from the top left.
-fn outside(
+pub(crate) fn outside(
     (side, rows, cols): (usize, usize, usize),
 ) -> impl Iterator<Item = (usize, Range<usize>)> {
     (0..side).flat_map(move |row| {

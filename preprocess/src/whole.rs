@@ -1,15 +1,16 @@
 //! A finished page: bounds, figures and payload.
 
 use std::cell::RefCell;
+use std::ops::Range;
 
 use areoid_formats::address::PageAddress;
 use areoid_formats::archive::{Description, PageEntry, Payload};
-use areoid_formats::bound::{self, Cells, Child, Span};
-use areoid_formats::codec::{EncodeError, Scratch};
+use areoid_formats::bound::{self, Cells, Child, Magnitude, Span};
+use areoid_formats::codec::{EncodeError, Quantum, Scratch};
 use areoid_formats::lanes::{self, greatest, least};
 
 use crate::texel::Texel;
-use crate::tile::Tile;
+use crate::tile::{self, Tile};
 
 /// A finished page: what is written of it, and what its parent needs to know.
 #[derive(Debug)]
@@ -20,6 +21,8 @@ pub struct Whole<S: Texel> {
     pub payload: Vec<u8>,
     /// Intervals of `R_l − R_L`, one a channel; `None` if they are all zero.
     pub cells: Option<Vec<Cells<S::Cell>>>,
+    /// What [`Tile::range`] is now.
+    pub range: (S, S),
 }
 
 /// A finished child.
@@ -58,13 +61,21 @@ pub fn finish<S: Texel>(
     children: &[WholeChild<'_, S>],
     payloads: Payloads,
 ) -> Result<Whole<S>, EncodeError> {
-    let cells = if page.level == description.grid.pyramid().finest() {
+    let finest = page.level == description.grid.pyramid().finest();
+    let interior = if finest {
+        interior_range(tile, 0)
+    } else {
+        children.iter().map(|child| child.tile.range).fold(S::NOTHING, union)
+    };
+    let range = union(interior, border_range(tile));
+    let cells = if finest {
         leaf_cells(tile)
     } else {
-        Some(parent_cells(description, page, tile, children))
+        let ranges = children.iter().map(|child| child.tile.range).fold(range, union);
+        Some(parent_cells(description, page, tile, children, ranges))
     };
     let own_bound = cells.iter().flatten().map(Cells::bound::<S>).fold(0.0, f32::max);
-    let figures = Figures::of(tile, children);
+    let figures = Figures::of(tile, children, (interior, range));
     let (stored, payload) = match payloads {
         Payloads::Made => encode(description, tile)?,
         Payloads::Unneeded => (NO_PAYLOAD, Vec::new()),
@@ -81,7 +92,7 @@ pub fn finish<S: Texel>(
         source_error: figures.source_error,
         full: tile.coverage.is_none(),
     };
-    Ok(Whole { entry, payload, cells })
+    Ok(Whole { entry, payload, cells, range })
 }
 
 /// The intervals of a leaf: zero but where its texels were rounded, which only heights are.
@@ -98,7 +109,13 @@ fn parent_cells<S: Texel>(
     page: PageAddress,
     tile: &Tile<S>,
     children: &[WholeChild<'_, S>],
+    (least, greatest): (S, S),
 ) -> Vec<Cells<S::Cell>> {
+    let Quantum { step, offset } = description.quantum;
+    let texels = Magnitude {
+        largest: in_meters(least).abs().max(in_meters(greatest).abs()),
+        whole: step > 0.0 && step.fract() == 0.0 && offset.fract() == 0.0,
+    };
     let children_are_leaves = page.level.finer() == description.grid.pyramid().finest();
     (0..S::CHANNELS)
         .map(|channel| {
@@ -125,7 +142,12 @@ fn parent_cells<S: Texel>(
                     }
                 })
                 .collect();
-            bound::parent_cells(window(tile, channel, None), (tile.rows, tile.cols), &children)
+            bound::parent_cells(
+                window(tile, channel, None),
+                (tile.rows, tile.cols),
+                &children,
+                texels,
+            )
         })
         .collect()
 }
@@ -150,7 +172,12 @@ struct Figures {
 }
 
 impl Figures {
-    fn of<S: Texel>(tile: &Tile<S>, children: &[WholeChild<'_, S>]) -> Self {
+    /// Of a page; of a leaf with the ranges of its interior and of all of it.
+    fn of<S: Texel>(
+        tile: &Tile<S>,
+        children: &[WholeChild<'_, S>],
+        (interior, all): ((S, S), (S, S)),
+    ) -> Self {
         let total = tile.rows * tile.cols;
         let valid = tile.coverage.as_ref().map_or(total, |codes| {
             let row = |row: usize| codes[tile.row(row)].iter().filter(|&&code| code != 0).count();
@@ -159,8 +186,11 @@ impl Figures {
         #[expect(clippy::cast_possible_truncation, reason = "a share in f32")]
         let valid_fraction = (valid as f64 / total as f64) as f32;
         if children.is_empty() {
-            let (min, max) = range(tile, 0);
-            let (lowest, highest) = range(tile, 1);
+            // What is beyond the texel beside the outline is no border of the page's points.
+            let is_cut = tile.rows.min(tile.cols) < tile.side - 2;
+            let beside = if is_cut { interior_range(tile, 1) } else { all };
+            let (min, max) = ends(interior);
+            let (lowest, highest) = ends(beside);
             let source_error = source_error(tile);
             return Self { valid_fraction, min, max, lowest, highest, source_error };
         }
@@ -178,31 +208,52 @@ impl Figures {
     }
 }
 
-/// Least and greatest valid texel of the interior and `margin` texels around it; NaN without any.
-fn range<S: Texel>(tile: &Tile<S>, margin: usize) -> (f32, f32) {
+fn union<S: Texel>(one: (S, S), other: (S, S)) -> (S, S) {
+    (least(one.0, other.0), greatest(one.1, other.1))
+}
+
+/// Both ends as an entry has them; NaN where there is nothing between.
+fn ends<S: Texel>((least, greatest): (S, S)) -> (f32, f32) {
+    if least > greatest { (f32::NAN, f32::NAN) } else { (in_meters(least), in_meters(greatest)) }
+}
+
+/// A texel in meters, or in codes.
+#[expect(clippy::cast_possible_truncation, reason = "texels are f32 or smaller")]
+fn in_meters<S: Texel>(texel: S) -> f32 {
+    Into::<f64>::into(texel) as f32
+}
+
+/// Least and greatest valid texel of the interior and `margin` texels around it.
+fn interior_range<S: Texel>(tile: &Tile<S>, margin: usize) -> (S, S) {
+    let row = |row: usize| row * tile.side + 1 - margin..row * tile.side + 1 + tile.cols + margin;
+    range_of(tile, (1 - margin..=tile.rows + margin).map(row))
+}
+
+/// Least and greatest valid texel outside the interior.
+fn border_range<S: Texel>(tile: &Tile<S>) -> (S, S) {
+    let parts = tile::outside((tile.side, tile.rows, tile.cols));
+    range_of(
+        tile,
+        parts.map(|(row, part)| row * tile.side + part.start..row * tile.side + part.end),
+    )
+}
+
+fn range_of<S: Texel>(tile: &Tile<S>, parts: impl Iterator<Item = Range<usize>>) -> (S, S) {
     let mut range = S::NOTHING;
-    for row in 1 - margin..=tile.rows + margin {
-        let row = row * tile.side + 1 - margin..row * tile.side + 1 + tile.cols + margin;
-        let covered = tile.coverage.as_ref().map(|codes| &codes[row.clone()]);
+    for part in parts {
+        let covered = tile.coverage.as_ref().map(|codes| &codes[part.clone()]);
         for plane in &tile.planes {
             match covered.filter(|codes| codes.contains(&0)) {
-                None => range = lanes::extremes(&plane[row.clone()], range),
+                None => range = union(range, lanes::extremes(&plane[part.clone()], S::NOTHING)),
                 Some(codes) => {
-                    let texels = plane[row.clone()].iter().zip(codes);
-                    for (&texel, _) in texels.filter(|(_, code)| **code != 0) {
-                        range = (least(texel, range.0), greatest(texel, range.1));
-                    }
+                    let texels = plane[part.clone()].iter().zip(codes);
+                    let valid = texels.filter(|(_, code)| **code != 0);
+                    range = valid.fold(range, |range, (&texel, _)| union(range, (texel, texel)));
                 }
             }
         }
     }
-    let (least, greatest) = range;
-    if least > greatest {
-        return (f32::NAN, f32::NAN);
-    }
-    #[expect(clippy::cast_possible_truncation, reason = "texels are f32 or smaller")]
-    let meters = |texel: S| -> f32 { Into::<f64>::into(texel) as f32 };
-    (meters(least), meters(greatest))
+    range
 }
 
 /// The largest |stored − original| in the interior.

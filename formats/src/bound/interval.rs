@@ -3,7 +3,7 @@
 use std::ops::{Add, Mul, Sub};
 
 use super::{Child, Window, widen_by_child};
-use crate::lanes::{self, greatest, least};
+use crate::lanes::{self, greatest, least, vectorized};
 
 /// The intervals of a page's interior: `rows * cols` cells, row-major. Where no point of a cell has
 /// all taps, its interval is empty: `low > high`.
@@ -39,6 +39,7 @@ pub trait Texel: Copy + PartialOrd + Into<f64> + Send + Sync + 'static {
         cells: &mut Cells<Self::Cell>,
         parent: Window<'_, Self>,
         child: &Child<'_, Self>,
+        texels: Magnitude,
     );
 }
 
@@ -94,14 +95,19 @@ impl Texel for f32 {
         (rounded_down(low), rounded_up(high))
     }
 
-    fn widen_by_child(cells: &mut Cells<Self>, parent: Window<'_, Self>, child: &Child<'_, Self>) {
-        let (coarse, fine) = (Magnitude::of(parent.texels), Magnitude::of(child.window.texels));
+    fn widen_by_child(
+        cells: &mut Cells<Self>,
+        parent: Window<'_, Self>,
+        child: &Child<'_, Self>,
+        texels: Magnitude,
+    ) {
         let known = child.cells.map_or(0.0, Cells::bound::<Self>);
-        if coarse.is_small() && fine.is_small() && known < LARGEST {
-            widen_by_child::<Self, Self>(cells, parent, child, 0.0);
+        if texels.is_small() && known < LARGEST {
+            vectorized(|| widen_by_child::<Self, Self>(cells, parent, child, 0.0));
         } else {
-            let rounding = coarse.rounding() + fine.rounding();
-            widen_by_child::<Self, f64>(cells, parent, child, rounding);
+            // One for each of the two reconstructions.
+            let rounding = 2.0 * texels.rounding();
+            vectorized(|| widen_by_child::<Self, f64>(cells, parent, child, rounding));
         }
     }
 }
@@ -128,8 +134,13 @@ impl Texel for u8 {
         (sixteenths(low).floor() as i16, sixteenths(high).ceil() as i16)
     }
 
-    fn widen_by_child(cells: &mut Cells<i16>, parent: Window<'_, Self>, child: &Child<'_, Self>) {
-        widen_by_child::<Self, i16>(cells, parent, child, 0.0);
+    fn widen_by_child(
+        cells: &mut Cells<i16>,
+        parent: Window<'_, Self>,
+        child: &Child<'_, Self>,
+        _: Magnitude,
+    ) {
+        vectorized(|| widen_by_child::<Self, i16>(cells, parent, child, 0.0));
     }
 }
 
@@ -193,22 +204,16 @@ const WIDEST: i16 = 255 * 16;
 /// below 2^20 m there are 20 bits before the point and four behind it.
 const LARGEST: f32 = 131_072.0;
 
-/// How large texels are, and whether all are whole numbers. NaN counts for nothing.
-#[derive(Clone, Copy)]
-struct Magnitude {
-    largest: f32,
-    whole: bool,
+/// How large the texels of a page and its children are, those of their windows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Magnitude {
+    /// No texel is farther from zero.
+    pub largest: f32,
+    /// Whether all are whole numbers.
+    pub whole: bool,
 }
 
 impl Magnitude {
-    fn of(texels: &[f32]) -> Self {
-        let (least, most) = lanes::extremes(texels, (0.0, 0.0));
-        // Adding and subtracting 1.5 2^23 rounds to a whole number below 2^22.
-        const ROUNDER: f32 = 12_582_912.0;
-        let broken = |texel: f32| (texel + ROUNDER - ROUNDER != texel) & !texel.is_nan();
-        Self { largest: greatest(-least, most), whole: lanes::none(texels, broken) }
-    }
-
     fn is_small(self) -> bool {
         self.whole && self.largest < LARGEST
     }

@@ -43,7 +43,7 @@ mod interval;
 mod lattice;
 mod leaf;
 
-pub use interval::{Cells, Texel, rounded_up};
+pub use interval::{Cells, Magnitude, Texel, rounded_up};
 pub use leaf::leaf_cells;
 
 use lattice::Lattice;
@@ -104,21 +104,24 @@ pub struct Child<'a, S: Texel> {
 ///
 /// # Shapes
 ///
-/// `size` is that of the interior inside the outline; all windows have the same side.
+/// `size` is that of the interior inside the outline; all windows have the same side. `texels` holds
+/// for all of them.
 #[must_use]
 pub fn parent_cells<S: Texel>(
     parent: Window<'_, S>,
     size: (usize, usize),
     children: &[Child<'_, S>],
+    texels: Magnitude,
 ) -> Cells<S::Cell> {
     let mut cells = Cells::empty::<S>(size.0, size.1);
     for child in children {
-        S::widen_by_child(&mut cells, parent, child);
+        S::widen_by_child(&mut cells, parent, child, texels);
     }
     cells
 }
 
 /// [`parent_cells`] for one child, in the arithmetic of `T`.
+#[inline(always)]
 fn widen_by_child<S, T>(
     cells: &mut Cells<S::Cell>,
     parent: Window<'_, S>,

@@ -4,6 +4,7 @@ use proptest::prelude::*;
 
 const SIDE: usize = 12;
 const INTERIOR: usize = SIDE - 2;
+const MAGNITUDE: Magnitude = Magnitude { largest: 30_000.0, whole: true };
 
 /// A parent and its four children, texels drawn anew for each.
 #[derive(Clone, Debug)]
@@ -115,20 +116,21 @@ fn whole_height() -> impl Strategy<Value = f32> + Clone {
 proptest! {
     #[test]
     fn whole_heights_have_the_intervals_of_the_book(family in family(whole_height())) {
-        let cells = parent_cells(family.parent(), family.size(), &family.children());
+        let cells = parent_cells(family.parent(), family.size(), &family.children(), MAGNITUDE);
         prop_assert_eq!(ends::<f32>(&cells), by_the_book(&family));
         prop_assert_eq!(&cells, &in_arithmetic::<f32, f64>(&family));
     }
 
     #[test]
     fn colors_have_the_intervals_of_the_book(family in family(any::<u8>())) {
-        let cells = parent_cells(family.parent(), family.size(), &family.children());
+        let cells = parent_cells(family.parent(), family.size(), &family.children(), MAGNITUDE);
         prop_assert_eq!(ends::<u8>(&cells), by_the_book(&family));
     }
 
     #[test]
     fn other_heights_lie_in_their_intervals(family in family(-1e4_f32..1e4)) {
-        let cells = parent_cells(family.parent(), family.size(), &family.children());
+        let broken = Magnitude { largest: 1e4, whole: false };
+        let cells = parent_cells(family.parent(), family.size(), &family.children(), broken);
         let found = ends::<f32>(&cells).concat();
         for ((low, high), (least, greatest)) in found.into_iter().zip(by_the_book(&family).concat()) {
             prop_assert!(low <= least && greatest <= high, "{low} {least} {greatest} {high}");
@@ -143,9 +145,9 @@ proptest! {
         let mut known = Cells::empty::<f32>(INTERIOR, INTERIOR);
         known.low.fill(ends.0);
         known.high.fill(ends.1);
-        let without = parent_cells(family.parent(), (5, 5), &[family.child(0, 0)]);
+        let without = parent_cells(family.parent(), (5, 5), &[family.child(0, 0)], MAGNITUDE);
         let child = Child { cells: Some(&known), ..family.child(0, 0) };
-        let with = parent_cells(family.parent(), (5, 5), &[child]);
+        let with = parent_cells(family.parent(), (5, 5), &[child], MAGNITUDE);
         let moved = |of: &[f32], by: f32| of.iter().map(|end| end + by).collect::<Vec<_>>();
         prop_assert_eq!(with.low, moved(&without.low, ends.0));
         prop_assert_eq!(with.high, moved(&without.high, ends.1));
@@ -171,7 +173,7 @@ proptest! {
                     Child { window: cover(child.window, which), ..child }
                 })
                 .collect();
-            parent_cells(cover(family.parent(), 4), family.size(), &children)
+            parent_cells(cover(family.parent(), 4), family.size(), &children, MAGNITUDE)
         };
         prop_assert_eq!(cells(&family), cells(&other));
     }

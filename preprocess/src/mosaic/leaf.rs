@@ -8,7 +8,7 @@ use areoid_formats::pyramid::Pyramid;
 
 use super::{Mosaic, Part, Place};
 use crate::build::Leaves;
-use crate::raster::{Filled, RasterError, Window, colors_into, heights_into};
+use crate::raster::{Filled, RasterError, SampleType, Window, colors_into, heights_into};
 use crate::texel::Planes;
 use crate::tile::Raw;
 
@@ -57,6 +57,17 @@ impl Leaves for Mosaic {
                 part.blocks.release(col, row);
             }
         }
+    }
+
+    fn is_whole(&self) -> bool {
+        self.parts.iter().all(|part| {
+            let info = part.raster.info();
+            let small = matches!(
+                info.sample,
+                SampleType::U8 | SampleType::I8 | SampleType::U16 | SampleType::I16
+            );
+            small && info.scale == 1.0 && info.offset == 0.0
+        })
     }
 
     fn may_have_holes(&self) -> bool {
