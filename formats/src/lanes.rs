@@ -6,21 +6,52 @@
 
 const LANES: usize = 16;
 
-/// Does `work` compiled for the widest vectors that this processor has.
+/// Work that is compiled once for every width of vectors, as plain loops.
 ///
-/// What is to profit must be inlined into it, and must not depend on the order of roundings: the
-/// result is the same on every processor.
+/// # Contract
+///
+/// [`Self::run`] and all that is to profit is `#[inline(always)]`: that is how it gets into the
+/// function that may use the wider vectors. A closure would not. The result does not depend on how
+/// operations are grouped, so it is the same on every processor.
+pub trait Wide {
+    /// What comes out.
+    type Output;
+
+    /// Does the work.
+    fn run(self) -> Self::Output;
+}
+
+/// Does work with the widest vectors that this processor has.
 #[inline]
-pub fn vectorized<R>(work: impl FnOnce() -> R) -> R {
-    pulp::Arch::new().dispatch(work)
+pub fn vectorized<W: Wide>(work: W) -> W::Output {
+    struct Inlined<W>(W);
+    impl<W: Wide> pulp::NullaryFnOnce for Inlined<W> {
+        type Output = W::Output;
+
+        #[inline(always)]
+        fn call(self) -> W::Output {
+            self.0.run()
+        }
+    }
+    pulp::Arch::new().dispatch(Inlined(work))
 }
 
 /// The least and greatest of `values` and of the two given, which stand for none; NaN counts for
 /// nothing.
 #[must_use]
 pub fn extremes<T: Copy + PartialOrd>(values: &[T], none: (T, T)) -> (T, T) {
-    // One after the other: together they become no vectors.
-    vectorized(|| (reduce(values, none.0, least), reduce(values, none.1, greatest)))
+    struct Extremes<'a, T>(&'a [T], (T, T));
+    impl<T: Copy + PartialOrd> Wide for Extremes<'_, T> {
+        type Output = (T, T);
+
+        #[inline(always)]
+        fn run(self) -> (T, T) {
+            let Self(values, (low, high)) = self;
+            // One after the other: together they become no vectors.
+            (reduce(values, low, least), reduce(values, high, greatest))
+        }
+    }
+    vectorized(Extremes(values, none))
 }
 
 #[inline(always)]

@@ -82,7 +82,7 @@ fn halve_row<S: Texel>(
         let plane = &child.planes[channel];
         let rows = [&plane[upper.clone()], &plane[lower.clone()]];
         let out = &mut parent.planes[channel][to..to + simple];
-        lanes::vectorized(|| S::halve(rows, quantum, out));
+        lanes::vectorized(Halving { rows, quantum, out });
         if let Some(spans) = &mut parent.spans {
             let (low, high) = span_of(child, channel);
             let part = to..to + simple;
@@ -116,6 +116,22 @@ fn span_of<S: Texel>(tile: &Tile<S>, channel: usize) -> (&[S], &[S]) {
             let original = tile.original.as_ref().unwrap_or(&tile.planes);
             (&original[channel], &original[channel])
         }
+    }
+}
+
+/// [`Texel::halve`] in wide vectors.
+struct Halving<'a, S> {
+    rows: [&'a [S]; 2],
+    quantum: Quantum,
+    out: &'a mut [S],
+}
+
+impl<S: Texel> lanes::Wide for Halving<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        S::halve(self.rows, self.quantum, self.out);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::ops::{Add, Mul, Sub};
 
-use super::{Child, Window, widen_by_child};
+use super::{Child, Widening, Window};
 use crate::lanes::{self, greatest, least, vectorized};
 
 /// The intervals of a page's interior: `rows * cols` cells, row-major. Where no point of a cell has
@@ -103,11 +103,11 @@ impl Texel for f32 {
     ) {
         let known = child.cells.map_or(0.0, Cells::bound::<Self>);
         if texels.is_small() && known < LARGEST {
-            vectorized(|| widen_by_child::<Self, Self>(cells, parent, child, 0.0));
+            vectorized(Widening::<Self, Self>::new(cells, parent, child, 0.0));
         } else {
             // One for each of the two reconstructions.
             let rounding = 2.0 * texels.rounding();
-            vectorized(|| widen_by_child::<Self, f64>(cells, parent, child, rounding));
+            vectorized(Widening::<Self, f64>::new(cells, parent, child, rounding));
         }
     }
 }
@@ -140,7 +140,7 @@ impl Texel for u8 {
         child: &Child<'_, Self>,
         _: Magnitude,
     ) {
-        vectorized(|| widen_by_child::<Self, i16>(cells, parent, child, 0.0));
+        vectorized(Widening::<Self, i16>::new(cells, parent, child, 0.0));
     }
 }
 

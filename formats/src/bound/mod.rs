@@ -46,7 +46,11 @@ mod leaf;
 pub use interval::{Cells, Magnitude, Texel, rounded_up};
 pub use leaf::leaf_cells;
 
+use std::marker::PhantomData;
+
 use lattice::Lattice;
+
+use crate::lanes::Wide;
 
 /// The least and greatest finest texels under each texel of a window; `least > greatest` where
 /// there is none.
@@ -121,37 +125,53 @@ pub fn parent_cells<S: Texel>(
 }
 
 /// [`parent_cells`] for one child, in the arithmetic of `T`.
-#[inline(always)]
-fn widen_by_child<S, T>(
-    cells: &mut Cells<S::Cell>,
-    parent: Window<'_, S>,
-    child: &Child<'_, S>,
+struct Widening<'a, S: Texel, T> {
+    cells: &'a mut Cells<S::Cell>,
+    parent: Window<'a, S>,
+    child: &'a Child<'a, S>,
     rounding: f64,
-) where
-    S: Texel,
-    T: interval::Number<S>,
-{
-    let interior = parent.side - 2;
-    let (rows, cols) = child.size;
-    let mut lattice = Lattice::<S, T>::new(parent, *child);
-    let mut holes = holes::Holes::new(parent, *child);
-    let mut pair = interval::Row::<S>::empty(cols);
-    let mut lower = interval::Row::<S>::empty(cols);
-    let zeros = vec![S::ZERO; cols];
-    for row in 0..rows {
-        let known = match child.cells {
-            Some(cells) => cells.row(row),
-            None => (&zeros[..], &zeros[..]),
-        };
-        let intervals = if row % 2 == 0 { &mut pair } else { &mut lower };
-        lattice.advance(row);
-        lattice.intervals(known, rounding, intervals);
-        holes.mend(row, known, rounding, intervals);
-        if row % 2 == 1 {
-            pair.widen(&lower);
-        }
-        if row % 2 == 1 || row + 1 == rows {
-            cells.widen_row((child.row * interior + row) / 2, child.col * interior / 2, &pair);
+    arithmetic: PhantomData<T>,
+}
+
+impl<'a, S: Texel, T> Widening<'a, S, T> {
+    fn new(
+        cells: &'a mut Cells<S::Cell>,
+        parent: Window<'a, S>,
+        child: &'a Child<'a, S>,
+        rounding: f64,
+    ) -> Self {
+        Self { cells, parent, child, rounding, arithmetic: PhantomData }
+    }
+}
+
+impl<S: Texel, T: interval::Number<S>> Wide for Widening<'_, S, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { cells, parent, child, rounding, .. } = self;
+        let interior = parent.side - 2;
+        let (rows, cols) = child.size;
+        let mut lattice = Lattice::<S, T>::new(parent, *child);
+        let mut holes = holes::Holes::new(parent, *child);
+        let mut pair = interval::Row::<S>::empty(cols);
+        let mut lower = interval::Row::<S>::empty(cols);
+        let zeros = vec![S::ZERO; cols];
+        for row in 0..rows {
+            let known = match child.cells {
+                Some(cells) => cells.row(row),
+                None => (&zeros[..], &zeros[..]),
+            };
+            let intervals = if row % 2 == 0 { &mut pair } else { &mut lower };
+            lattice.advance(row);
+            lattice.intervals(known, rounding, intervals);
+            holes.mend(row, known, rounding, intervals);
+            if row % 2 == 1 {
+                pair.widen(&lower);
+            }
+            if row % 2 == 1 || row + 1 == rows {
+                cells.widen_row((child.row * interior + row) / 2, child.col * interior / 2, &pair);
+            }
         }
     }
 }

@@ -104,7 +104,7 @@ fn in_arithmetic<S: Texel, T: Number<S>>(family: &Family<S>) -> Cells<S::Cell> {
     let (rows, cols) = family.size();
     let mut cells = Cells::empty::<S>(rows, cols);
     for child in family.children() {
-        widen_by_child::<S, T>(&mut cells, family.parent(), &child, 0.0);
+        Widening::<S, T>::new(&mut cells, family.parent(), &child, 0.0).run();
     }
     cells
 }
