@@ -343,15 +343,21 @@ impl Pyramid {
         if !own.is_empty() {
             straight_rows.extend(narrow(own.start) / interior..=narrow(own.end - 1) / interior);
         }
-        for row in (top..own.start).chain(own.end..bottom) {
-            let extended = self.extended_row(page.level, row);
-            let rows = if extended.turned { &mut turned_rows } else { &mut straight_rows };
-            for row in [extended.row / interior, extended.next / interior] {
-                if !rows.contains(&row) {
-                    rows.push(row);
-                }
+        for past in [top..own.start, own.end..bottom] {
+            // Rows past an edge are those before it mirrored, or the last one again: what is between
+            // two of them lies between theirs, unless they go on to the other edge.
+            let step = if past.end - past.start < height { past.end - past.start - 1 } else { 1 };
+            for row in past.step_by(usize::try_from(step).unwrap_or(1).max(1)) {
+                let extended = self.extended_row(page.level, row);
+                let rows = if extended.turned { &mut turned_rows } else { &mut straight_rows };
+                rows.extend([extended.row / interior, extended.next / interior]);
             }
         }
+        let (straight_rows, turned_rows) = if bottom - top <= height {
+            (between(&straight_rows), between(&turned_rows))
+        } else {
+            (distinct(straight_rows), distinct(turned_rows))
+        };
 
         let mut pages = Vec::new();
         for (rows, turned) in [(straight_rows, false), (turned_rows, true)] {
@@ -386,6 +392,20 @@ impl Pyramid {
         }
         straight.chain(pages(0..start + length - width)).collect()
     }
+}
+
+/// All numbers from the least to the greatest.
+fn between(numbers: &[u32]) -> Vec<u32> {
+    match (numbers.iter().min(), numbers.iter().max()) {
+        (Some(&least), Some(&greatest)) => (least..=greatest).collect(),
+        _ => Vec::new(),
+    }
+}
+
+fn distinct(mut numbers: Vec<u32>) -> Vec<u32> {
+    numbers.sort_unstable();
+    numbers.dedup();
+    numbers
 }
 
 /// The next width 2m·2^k, with 2m at most three pages, that is not below `width`.

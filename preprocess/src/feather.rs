@@ -115,21 +115,25 @@ pub fn coverage<'a>(
 
 /// The coverage at a squared distance, in texels, of a texel of this alpha.
 fn code_at(nearest: u16, alpha: u8) -> u8 {
-    static SHARES: LazyLock<Vec<f64>> = LazyLock::new(|| {
-        // From 32½ texels on it is full.
+    /// Of opaque texels, and their shares. From 32½ texels on they are full.
+    static CODES: LazyLock<Vec<(u8, f64)>> = LazyLock::new(|| {
         let share = |nearest: u32| {
             let distance = f64::from(nearest).sqrt() - 0.5;
             (distance / f64::from(FEATHER_TEXELS)).min(1.0)
         };
-        (0..=HALO * HALO).map(share).collect()
+        (0..=HALO * HALO).map(share).map(|share| (code_of(share, u8::MAX), share)).collect()
     });
-    if alpha == 0 {
-        return 0;
+    let (code, share) = CODES.get(usize::from(nearest)).copied().unwrap_or((u8::MAX, 1.0));
+    match alpha {
+        0 => 0,
+        u8::MAX => code,
+        alpha => code_of(share, alpha),
     }
-    let share = SHARES.get(usize::from(nearest)).copied().unwrap_or(1.0);
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "1 to 255")]
-    let code = (share * f64::from(alpha)).round().max(1.0) as u8;
-    code
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "1 to 255")]
+fn code_of(share: f64, alpha: u8) -> u8 {
+    (share * f64::from(alpha)).round().max(1.0) as u8
 }
 
 /// Whether places outside the outline, that no pole or turn leads back from, are within the halo.

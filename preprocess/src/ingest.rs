@@ -267,6 +267,10 @@ fn begin<'a>(
     Ok((build, Some(Begun { archive, note })))
 }
 
+/// Bytes of heads, padding and small payloads that are written together; payloads of this size go
+/// to the file without a copy.
+const WRITTEN_TOGETHER: usize = 32 << 10;
+
 /// A build's archive, written in large pieces.
 struct Buffered<'a, 'b>(BufWriter<&'a mut Build<'b>>);
 
@@ -314,7 +318,7 @@ fn write(
     let frontier_bytes = spare_bytes - spare_bytes / 4;
     let means = Means { scratch, frontier_bytes, note_every: request.note_every };
     let mosaic = &*mosaic;
-    let site = Buffered(BufWriter::with_capacity(1 << 20, build));
+    let site = Buffered(BufWriter::with_capacity(WRITTEN_TOGETHER, build));
     let built = threads.install(|| build::build(description, mosaic, site, &means, begun, watch));
     let (site, written) = built.map_err(failed)?;
     mosaic.check_unchanged()?;

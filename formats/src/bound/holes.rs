@@ -7,16 +7,23 @@ use super::{Child, LATTICE, Window, parent_taps, taps};
 pub(super) struct Holes<'a, S: Texel> {
     parent: Window<'a, S>,
     child: Child<'a, S>,
-    /// Holes in the three rows of the child that a row of cells looks at, by column of the window.
-    fine: Vec<bool>,
-    /// Holes in the two rows of the parent, likewise.
-    coarse: Vec<bool>,
+    /// In the three rows of the child that a row of cells looks at, by column of the window.
+    fine: Columns,
+    /// In the two rows of the parent, likewise.
+    coarse: Columns,
+}
+
+/// Columns with a hole in one of some rows, and those with nothing else: 1, else 0.
+struct Columns {
+    any: Vec<u8>,
+    all: Vec<u8>,
 }
 
 impl<'a, S: Texel> Holes<'a, S> {
     pub(super) fn new(parent: Window<'a, S>, child: Child<'a, S>) -> Self {
-        let flags = || vec![false; parent.side];
-        Self { parent, child, fine: flags(), coarse: flags() }
+        let flags = || vec![0; parent.side];
+        let columns = || Columns { any: flags(), all: flags() };
+        Self { parent, child, fine: columns(), coarse: columns() }
     }
 
     /// Replaces the intervals of row `row` that a missing tap made wrong.
@@ -29,20 +36,33 @@ impl<'a, S: Texel> Holes<'a, S> {
     ) {
         let interior = self.parent.side - 2;
         let (top, bottom, _) = parent_taps(self.child.row * interior + row, 1);
-        let fine = mark(&mut self.fine, self.child.window, &[row, row + 1, row + 2]);
-        let coarse = mark(&mut self.coarse, self.parent, &[top, bottom]);
+        let fine = self.fine.mark(self.child.window, &[row, row + 1, row + 2]);
+        let coarse = self.coarse.mark(self.parent, &[top, bottom]);
         if !(fine || coarse) {
             return;
         }
         for col in 0..self.child.size.1 {
             let (left, right, _) = parent_taps(self.child.col * interior + col, 1);
-            let near = self.fine[col] || self.fine[col + 1] || self.fine[col + 2];
-            if near || self.coarse[left] || self.coarse[right] {
-                let known = (S::end(known_low[col]), S::end(known_high[col]));
-                let (least, greatest) = self.careful(row, col, known, rounding);
-                (low[col], high[col]) =
-                    if least <= greatest { S::outward(least, greatest) } else { S::EMPTY };
+            let of_fine = |flags: &[u8]| [flags[col], flags[col + 1], flags[col + 2]];
+            let of_coarse = |flags: &[u8]| [flags[left], flags[right]];
+            let any = of_fine(&self.fine.any)
+                .iter()
+                .chain(&of_coarse(&self.coarse.any))
+                .any(|&hole| hole == 1);
+            if !any {
+                continue;
             }
+            // In the middle of a hole there is nothing to hold against one another.
+            let nothing =
+                of_fine(&self.fine.all) == [1; 3] || of_coarse(&self.coarse.all) == [1; 2];
+            let (least, greatest) = if nothing {
+                (f64::INFINITY, f64::NEG_INFINITY)
+            } else {
+                let known = (S::end(known_low[col]), S::end(known_high[col]));
+                self.careful(row, col, known, rounding)
+            };
+            (low[col], high[col]) =
+                if least <= greatest { S::outward(least, greatest) } else { S::EMPTY };
         }
     }
 
@@ -101,18 +121,22 @@ impl<'a, S: Texel> Holes<'a, S> {
     }
 }
 
-/// Marks the columns that are a hole in one of `rows`; false if there are none.
-fn mark<S>(holes: &mut [bool], window: Window<'_, S>, rows: &[usize]) -> bool {
-    let Some(coverage) = window.coverage else { return false };
-    let row = |row: usize| &coverage[row * window.side..][..window.side];
-    if !rows.iter().any(|&r| row(r).contains(&0)) {
-        holes.fill(false);
-        return false;
+impl Columns {
+    /// Marks the columns by what they have in `rows`; false if there are no holes.
+    fn mark<S>(&mut self, window: Window<'_, S>, rows: &[usize]) -> bool {
+        let Some(coverage) = window.coverage else { return false };
+        let row = |row: usize| &coverage[row * window.side..][..window.side];
+        let holes = rows.iter().any(|&at| row(at).contains(&0));
+        self.any.fill(0);
+        self.all.fill(u8::from(holes));
+        for &at in rows.iter().filter(|_| holes) {
+            for ((any, all), &code) in self.any.iter_mut().zip(&mut self.all).zip(row(at)) {
+                let hole = u8::from(code == 0);
+                (*any, *all) = (*any | hole, *all & hole);
+            }
+        }
+        holes
     }
-    for (col, hole) in holes.iter_mut().enumerate() {
-        *hole = rows.iter().any(|&r| row(r)[col] == 0);
-    }
-    true
 }
 
 /// Least and greatest finest texel under a child cell and its eight neighbors.

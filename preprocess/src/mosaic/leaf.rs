@@ -22,10 +22,12 @@ impl Leaves for Mosaic {
             return Ok(None);
         }
         let side = pyramid.page_side() as usize;
+        // Zeros come without being written; what stands for no data must be, where there is any.
+        let covers =
+            |(part, overlap): &(&Part, Overlap)| part.is_solid() && overlap.len() == place.len();
+        let blank = if overlaps.iter().any(covers) { 0.0 } else { f32::NAN };
         let mut raw = match self.kind {
-            Kind::Height => {
-                Raw { planes: Planes::Height(vec![f32::NAN; side * side]), alpha: None }
-            }
+            Kind::Height => Raw { planes: Planes::Height(vec![blank; side * side]), alpha: None },
             Kind::Color | Kind::Normal => {
                 let plane = || vec![0; side * side];
                 Raw { planes: Planes::Color([plane(), plane(), plane()]), alpha: Some(plane()) }
@@ -73,11 +75,8 @@ impl Leaves for Mosaic {
     fn may_have_holes(&self) -> bool {
         let extent = self.grid.pyramid().extent();
         let whole = |part: &Part| {
-            let info = part.raster.info();
             (part.col, part.row, part.width, part.height) == (0, 0, extent.width, extent.height)
-                && info.nodata.is_none()
-                && !info.has_alpha
-                && !info.sample.is_float()
+                && part.is_solid()
         };
         !self.parts.iter().any(whole)
     }
@@ -126,6 +125,12 @@ impl Overlap {
 }
 
 impl Part {
+    /// Whether every pixel is sure to have data.
+    fn is_solid(&self) -> bool {
+        let info = self.raster.info();
+        info.nodata.is_none() && !info.has_alpha && !info.sample.is_float()
+    }
+
     fn overlap(&self, leaf: Place) -> Option<Overlap> {
         let shared = |leaf: u32, length: u32, part: u32, used: u32| {
             let start = leaf.saturating_sub(part);
