@@ -247,7 +247,7 @@ fn a_full_disk_is_an_error_and_changes_nothing() {
         name: Some("second".to_owned()),
         kind: None,
         step_m: None,
-        page_side: 18,
+        page_side: 8,
         priority: 0,
         threads: Some(1),
         existing: areoid_preprocess::ingest::Existing::Keep,
@@ -256,13 +256,22 @@ fn a_full_disk_is_an_error_and_changes_nothing() {
         note_every: std::time::Duration::from_secs(60),
         reading: areoid_preprocess::ingest::Reading::default(),
     };
-    let disk = FullDisk { room: std::sync::atomic::AtomicUsize::new(50_000) };
+    let disk = FullDisk { room: std::sync::atomic::AtomicUsize::new(600_000) };
     let proceed = |_| areoid_preprocess::build::Proceed::Yes;
     let error = areoid_preprocess::ingest::ingest(&disk, &request, proceed).unwrap_err();
     let causes = std::iter::successors(Some(&error as &dyn std::error::Error), |e| e.source());
     let text: Vec<String> = causes.map(ToString::to_string).collect();
     assert!(text.join(": ").contains("no space left"), "{text:?}");
     assert_eq!(bench.catalog(), before);
+
+    // With room, the same ingest goes on where the disk was full.
+    let request = areoid_preprocess::ingest::Request {
+        unfinished: areoid_preprocess::ingest::Unfinished::Resume,
+        ..request
+    };
+    let disk = areoid_formats::catalog::RealDisk;
+    let outcome = areoid_preprocess::ingest::ingest(&disk, &request, proceed).unwrap();
+    assert!(outcome.resumed_units > 0);
     assert!(Path::new(&bench.path("catalog/build")).read_dir().unwrap().next().is_none());
 }
 
@@ -280,8 +289,8 @@ impl areoid_formats::catalog::Disk for FullDisk {
         areoid_formats::catalog::RealDisk.open_or_create(path)
     }
 
-    fn truncate(&self, file: &fs::File) -> std::io::Result<()> {
-        areoid_formats::catalog::RealDisk.truncate(file)
+    fn truncate(&self, file: &mut fs::File, length: u64) -> std::io::Result<()> {
+        areoid_formats::catalog::RealDisk.truncate(file, length)
     }
 
     fn append(&self, file: &mut fs::File, bytes: &[u8]) -> std::io::Result<()> {

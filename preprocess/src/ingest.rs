@@ -157,7 +157,7 @@ pub enum IngestError {
 }
 
 impl IngestError {
-    /// Whether the ingest left a build that can be gone on with.
+    /// Whether the ingest left a build that can be gone on with, if it came past its first unit.
     #[must_use]
     pub fn can_be_resumed(&self) -> bool {
         matches!(self, Self::Build { source, .. } if source.can_be_resumed())
@@ -184,7 +184,7 @@ boxed!(RasterError: Raster, MosaicError: Mosaic, CatalogError: Catalog);
 pub fn ingest(
     disk: &dyn Disk,
     request: &Request,
-    watch: impl FnMut(Progress) -> Proceed + Send,
+    mut watch: impl FnMut(Progress) -> Proceed + Send,
 ) -> Result<Outcome, IngestError> {
     let start = Instant::now();
     let catalog = match Catalog::open(&request.catalog) {
@@ -216,10 +216,15 @@ pub fn ingest(
 
     let (mut build, begun) = begin(disk, request, &description)?;
     outcome.resumed_units = begun.as_ref().map_or(0, |begun| begun.archive.units);
+    let mut has_units = outcome.resumed_units > 0;
+    let watch = |progress| {
+        has_units = true;
+        watch(progress)
+    };
     let written = match write(request, &description, &mut mosaic, (&mut build, begun), watch) {
         Ok(written) => written,
         Err(error) => {
-            if !error.can_be_resumed() {
+            if !(has_units && error.can_be_resumed()) {
                 // What cannot be removed either is swept by the next build of this name; the first
                 // error says more.
                 let _ = build.discard();
