@@ -102,7 +102,7 @@ fn killed_at_any_instant_a_catalog_opens_and_the_archive_is_resumed() {
             assert_eq!(names.len(), 1 + usize::from(has), "{after}: {names:?}");
             assert!(names.contains(&OTHER.to_owned()) && (has || !force), "{after}: {names:?}");
             let now = has.then(|| rig::archive(catalog.path()));
-            if soak() || now.as_ref() != Some(archive) {
+            if now.as_ref() != Some(archive) {
                 assert_eq!(rig::run("verify", catalog.path())["ok"], true, "{after}");
             }
             assert!(now.iter().all(|now| now == archive || force && *now == old), "{after}");
@@ -137,8 +137,15 @@ fn killed_at_any_instant_a_catalog_opens_and_the_archive_is_resumed() {
         tally.resumed += u32::from(units > 0);
         tally.units += units;
         tally.runs += 1;
+        if soak() && run % 20 == 19 {
+            println!("{tally:?}");
+        }
         let what = format!("run {run}, resumed with {options:?}");
         assert!(check(&what), "{what}");
+        if summary["already_there"] == true {
+            // Killed behind the link: what was to be swept is by the next change.
+            other.ingest(catalog.path(), &["--name", "next"]);
+        }
         rig::assert_whole(catalog.path(), archive, &what);
     }
     println!("{tally:?}, undisturbed in {:?}", undisturbed.iter().map(|u| u.1).collect::<Vec<_>>());
