@@ -236,7 +236,7 @@ fn damage_to_one_dataset_is_confined_to_it() {
     }
 }
 
-/// A disk that fills up while the archive is written.
+/// A disk that fills up while the archive is written: what was written waits for `--resume`.
 #[test]
 fn a_full_disk_is_an_error_and_changes_nothing() {
     let bench = Bench::new();
@@ -263,6 +263,7 @@ fn a_full_disk_is_an_error_and_changes_nothing() {
     let text: Vec<String> = causes.map(ToString::to_string).collect();
     assert!(text.join(": ").contains("no space left"), "{text:?}");
     assert_eq!(bench.catalog(), before);
+    assert!(error.can_be_resumed());
 
     // With room, the same ingest goes on where the disk was full.
     let request = areoid_preprocess::ingest::Request {

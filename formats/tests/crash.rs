@@ -19,7 +19,8 @@ use areoid_formats::archive::{
 };
 use areoid_formats::body::Body;
 use areoid_formats::catalog::{
-    Build, Catalog, CatalogError, Disk, NewDataset, RealDisk, publish_build, remove_dataset,
+    Build, Catalog, CatalogError, Disk, Existing, NewDataset, RealDisk, publish_build,
+    remove_dataset,
 };
 use areoid_formats::codec::{self, Quantum};
 use areoid_formats::grid::{Grid, Outline};
@@ -119,6 +120,16 @@ impl Disk for Dying {
 
 /// A dataset of two pages: a constant one of `height` and one that is not.
 fn publish(disk: &dyn Disk, folder: &Path, name: &str, height: u16) -> Result<u64, CatalogError> {
+    publish_over(Existing::Replace, disk, folder, name, height)
+}
+
+fn publish_over(
+    existing: Existing,
+    disk: &dyn Disk,
+    folder: &Path,
+    name: &str,
+    height: u16,
+) -> Result<u64, CatalogError> {
     let body = Body::parse("mars").unwrap();
     let crs = Crs::new(Projection::Geographic, body.ellipsoid);
     let outline = Outline { origin: [0.0, 10.0], pixel_size: [1.0; 2], width: 12, height: 5 };
@@ -168,6 +179,7 @@ fn publish(disk: &dyn Disk, folder: &Path, name: &str, height: u16) -> Result<u6
             bytes: written.bytes,
             content: written.content,
             source: Source::default(),
+            existing,
         },
     )
 }
@@ -335,7 +347,8 @@ fn nothing_is_relied_on_before_it_is_synced() {
     let old_removed = place(&second, "remove", &folder.join("manifest.1"));
     let archive_removed = place(&second, "remove", &archives);
     assert!(archive_synced < renamed && renamed < name_synced, "{second:#?}");
-    assert!(name_synced < manifest_synced && manifest_synced < linked, "{second:#?}");
+    // The manifest before the rename: what may find no room comes while the build is still one.
+    assert!(manifest_synced < renamed && name_synced < linked, "{second:#?}");
     assert!(linked < generation_synced, "{second:#?}");
     assert!(generation_synced < old_removed && generation_synced < archive_removed, "{second:#?}");
 }
@@ -392,11 +405,67 @@ fn a_refused_change_leaves_everything() {
         bytes: 0,
         content: 0,
         source: Source::default(),
+        existing: Existing::Replace,
     };
     let other = publish_build(build, dataset);
     assert!(matches!(other, Err(CatalogError::OtherBody { .. })));
     assert_eq!((shown(&folder), names_in(&folder)), before);
     assert!(names_in(&folder.join("build")).is_empty());
+}
+
+/// Two builders without `--force` who both found no dataset of the name: one looked before the other
+/// published and locked the build after. The second replaced what the first had published.
+#[test]
+fn what_was_published_meanwhile_is_not_replaced_unasked() {
+    let (_home, folder) = two_datasets();
+    let before = shown(&folder);
+    let refused = publish_over(Existing::Keep, &RealDisk, &folder, "old", 7);
+    assert!(matches!(refused, Err(CatalogError::Exists { .. })), "{refused:?}");
+    assert_eq!(shown(&folder), before);
+    assert_eq!(names_in(&folder.join("build")), [] as [&str; 0]);
+    check_swept(&folder);
+    // The same again is no loss.
+    publish_over(Existing::Keep, &RealDisk, &folder, "old", 1).unwrap();
+    assert_eq!(shown(&folder), before);
+}
+
+/// Whatever a build put beside its archive is gone before a manifest names the dataset: a writer
+/// killed behind the link used to leave notes and scratch files that nobody came for, because the
+/// next ingest found nothing to do; and a note half written stayed for good.
+#[test]
+fn nothing_stands_beside_a_published_archive() {
+    for steps in 0.. {
+        let (_home, folder) = two_datasets();
+        let mut build = Build::start(&RealDisk, &folder, "new").unwrap();
+        build.scratch().unwrap();
+        build.note(b"note").unwrap();
+        fs::write(folder.join("build/new.note-new"), b"no").unwrap();
+        drop(build);
+        let disk = Dying::after(steps, Last::Undone);
+        let _ = publish(&disk, &folder, "new", 7);
+        if shown(&folder).contains_key("new") {
+            assert_eq!(names_in(&folder.join("build")), [] as [&str; 0], "{steps}");
+        }
+        if !disk.died() {
+            break;
+        }
+    }
+}
+
+/// No room for the manifest, which is written last: the build used to be thrown away.
+#[test]
+fn a_build_is_kept_when_its_manifest_finds_no_room() {
+    let (_home, folder) = two_datasets();
+    let whole = Dying::after(usize::MAX, Last::Undone);
+    publish(&whole, &folder, "old", 7).unwrap();
+    let steps = whole.log.lock().unwrap().clone();
+    let manifest = steps.iter().rposition(|step| step.starts_with("append")).unwrap();
+    let (_home, folder) = two_datasets();
+    let before = shown(&folder);
+    let full = Dying::after(manifest, Last::Torn);
+    assert!(matches!(publish(&full, &folder, "old", 7), Err(CatalogError::Io { .. })));
+    assert_eq!(shown(&folder), before);
+    assert_eq!(names_in(&folder.join("build")), ["old.part"]);
 }
 
 /// Files with names like a manifest's: somebody's copies, links to nowhere, the last generation.

@@ -186,13 +186,17 @@ fn build_of<S: Texel, W: Site + Send>(
     progress.units_resumed = usize::try_from(writer.units()).unwrap_or(usize::MAX);
     let usable =
         note.filter(|note| note.archive == writer.archive() && note.units <= writer.units());
-    if let Some(note) = usable.filter(|note| shop.restore(note)) {
-        while (progress.units_done as u64) < note.units
-            && let Some(step) = schedule.next()
-        {
-            step.read.iter().for_each(|&leaf| leaves.skip(leaf));
-            progress.units_done += 1;
-        }
+    let skipped = if progress.units_resumed == progress.units {
+        // Only what stands behind the records may be missing.
+        writer.units()
+    } else {
+        usable.filter(|note| shop.restore(note)).map_or(0, |note| note.units)
+    };
+    while (progress.units_done as u64) < skipped
+        && let Some(step) = schedule.next()
+    {
+        step.read.iter().for_each(|&leaf| leaves.skip(leaf));
+        progress.units_done += 1;
     }
 
     let mut next = schedule.next();

@@ -10,6 +10,7 @@ use areoid_formats::archive::{
     Archive, ArchiveError, Description, Source, SourceFile, Summary, Written, recover,
 };
 use areoid_formats::body::Body;
+pub use areoid_formats::catalog::Existing;
 use areoid_formats::catalog::{Build, Catalog, CatalogError, Disk, NewDataset, publish_build};
 use areoid_formats::codec::{Quantum, QuantumError};
 use areoid_formats::geodesy::LatitudeKind;
@@ -67,15 +68,6 @@ pub enum Unfinished {
     Discard,
     /// It is gone on with, if it is one of the same input with the same options.
     Resume,
-}
-
-/// What becomes of a dataset that is there already.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Existing {
-    /// It stays, and the ingest fails.
-    Keep,
-    /// It is replaced.
-    Replace,
 }
 
 /// The options that say how a raster is read, as they were given.
@@ -187,11 +179,7 @@ pub fn ingest(
     mut watch: impl FnMut(Progress) -> Proceed + Send,
 ) -> Result<Outcome, IngestError> {
     let start = Instant::now();
-    let catalog = match Catalog::open(&request.catalog) {
-        Ok(catalog) => Some(catalog),
-        Err(CatalogError::NotACatalog { .. }) => None,
-        Err(error) => return Err(error.into()),
-    };
+    let mut catalog = newest(&request.catalog)?;
     let (description, mut mosaic) = plan(request, catalog.as_ref())?;
     let extent = description.grid.pyramid().extent();
     let mut outcome = Outcome {
@@ -205,9 +193,21 @@ pub fn ingest(
         resumed_units: 0,
         seconds: 0.0,
     };
-    if let Some(catalog) = &catalog
-        && let Some((summary, bytes)) = existing(catalog, &description, request.existing)?
-    {
+    let there = loop {
+        let Some(opened) = &catalog else { break None };
+        match existing(opened, &description, request.existing) {
+            // Another process may have replaced or removed it since the catalog was opened.
+            Err(IngestError::Catalog(error)) if matches!(*error, CatalogError::Missing { .. }) => {
+                let generation = opened.generation();
+                catalog = newest(&request.catalog)?;
+                if catalog.as_ref().is_none_or(|newer| newer.generation() == generation) {
+                    return Err(IngestError::Catalog(error));
+                }
+            }
+            there => break there?,
+        }
+    };
+    if let (Some(catalog), Some((summary, bytes))) = (&catalog, there) {
         (outcome.already_there, outcome.generation) = (true, catalog.generation());
         (outcome.summary, outcome.bytes) = (summary, bytes);
         outcome.seconds = start.elapsed().as_secs_f64();
@@ -242,12 +242,22 @@ pub fn ingest(
             bytes: written.bytes,
             content: written.content,
             source: description.source,
+            existing: request.existing,
         },
     )?;
     (outcome.summary, outcome.bytes) = (written.summary, written.bytes);
     outcome.decoded_blocks = mosaic.decoded_blocks();
     outcome.seconds = start.elapsed().as_secs_f64();
     Ok(outcome)
+}
+
+/// The newest generation of the catalog, if there is one.
+fn newest(folder: &Path) -> Result<Option<Catalog>, IngestError> {
+    match Catalog::open(folder) {
+        Ok(catalog) => Ok(Some(catalog)),
+        Err(CatalogError::NotACatalog { .. }) => Ok(None),
+        Err(error) => Err(error.into()),
+    }
 }
 
 /// Opens the place of the build, and what is left there of an earlier one that can be gone on with.
@@ -325,8 +335,11 @@ fn write(
     let mosaic = &*mosaic;
     let site = Buffered(BufWriter::with_capacity(WRITTEN_TOGETHER, build));
     let built = threads.install(|| build::build(description, mosaic, site, &means, begun, watch));
+    if !matches!(built, Err(BuildError::Interrupted)) {
+        // What was made of rasters that changed is of no use, and says why they could not be read.
+        mosaic.check_unchanged()?;
+    }
     let (site, written) = built.map_err(failed)?;
-    mosaic.check_unchanged()?;
     site.0.into_inner().map_err(|error| failed(BuildError::Write(error.into_error())))?;
     Ok(written)
 }

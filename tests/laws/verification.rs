@@ -7,7 +7,7 @@ use areoid_formats::archive::record::{
     ALIGNMENT, Marker, RECORD_HEAD_LEN, RecordHead, parse_head, record_len,
 };
 use areoid_formats::archive::{Archive, ArchiveWriter, PageEntry, Written};
-use areoid_formats::catalog::{Build, Catalog, NewDataset, RealDisk, publish_build};
+use areoid_formats::catalog::{Build, Catalog, Existing, NewDataset, RealDisk, publish_build};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -69,6 +69,7 @@ fn replace(folder: &Path, bytes: &[u8], written: &Written) {
         bytes: written.bytes,
         content: written.content,
         source: record.source,
+        existing: Existing::Replace,
     };
     publish_build(build, dataset).unwrap();
 }

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use areoid_formats::grid::Outline;
-use tiff::encoder::colortype::{ColorType, Gray32Float, GrayI16};
+use tiff::encoder::colortype::{ColorType, Gray32Float, GrayI16, RGBA8};
 use tiff::encoder::{TiffEncoder, TiffValue};
 use tiff::tags::Tag;
 
@@ -33,6 +33,8 @@ pub(crate) enum Samples {
     Float32,
     /// Missing ones as this value, which the file declares.
     Float32With(f32),
+    /// Codes of red, green and blue; missing ones without alpha.
+    Color,
 }
 
 impl Writing {
@@ -63,6 +65,17 @@ impl Writing {
                 let code = |height: f32| if height.is_nan() { missing } else { height };
                 let codes: Vec<f32> = heights.into_iter().map(code).collect();
                 self.encode::<Gray32Float>(&path, size, &codes, Some(missing.to_string()));
+            }
+            Samples::Color => {
+                let codes: Vec<u8> = (0..raster.shape.height * width)
+                    .flat_map(|at| {
+                        let [red, green, blue] =
+                            [0, 1, 2].map(|channel| raster.planes[channel][at]);
+                        let alpha = if red.is_nan() { 0 } else { 255 };
+                        [red as u8, green as u8, blue as u8, alpha]
+                    })
+                    .collect();
+                self.encode::<RGBA8>(&path, (width, raster.shape.height), &codes, None);
             }
         }
         path
@@ -98,6 +111,8 @@ impl Writing {
         if let Some(missing) = missing {
             tags.write_tag(Tag::GdalNodata, missing.as_str()).unwrap();
         }
+        // Several strips, and the last of another height.
+        image.rows_per_strip(50).unwrap();
         image.write_data(samples).unwrap();
     }
 }

@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use areoid_formats::catalog::{Build, NewDataset, RealDisk, publish_build};
+use areoid_formats::catalog::{Build, Existing, NewDataset, RealDisk, publish_build};
 
 use super::*;
 use crate::CacheError;
@@ -32,6 +32,7 @@ fn a_catalog_opens_with_what_can_be_read() {
             bytes: bytes.len() as u64,
             content: Archive::open(Box::new(bytes)).unwrap().content().unwrap(),
             source: description.source,
+            existing: Existing::Replace,
         };
         publish_build(build, dataset).unwrap();
     }

@@ -45,7 +45,7 @@ pub fn scan(
         if record.is_some() {
             found.end = end;
         }
-        match record {
+        match record.map(|(record, _)| record) {
             Some(Found::Page(entry)) => found.entries.push(entry),
             Some(Found::Marker(marker)) => {
                 found.units.push(marker.unit);
@@ -78,7 +78,8 @@ pub struct Unfinished {
 
 /// What `source` has of the archive of `description`; `None` if it is another's or starts otherwise.
 ///
-/// Every byte up to [`Unfinished::end`] is proven by a checksum, payloads included.
+/// Every byte up to [`Unfinished::end`] is proven: by a checksum, payloads included, or as a zero
+/// that pads.
 ///
 /// # Errors
 ///
@@ -94,7 +95,7 @@ pub fn unfinished(
         return Ok(None);
     }
     read(source, &mut front, 0)?;
-    if front != expected {
+    if front != expected || !is_padding(source, front.len() as u64..records)? {
         return Ok(None);
     }
     let mut found = Unfinished { records, end: records, ..Unfinished::default() };
@@ -102,12 +103,16 @@ pub fn unfinished(
     let levels = description.grid.pyramid().finest();
     while position < source.len() {
         let (record, length) = record_at(source, archive, position, source.len())?;
+        let Some((record, body_end)) = record else { break };
         position += length;
+        if !is_padding(source, body_end..position)? {
+            break;
+        }
         match record {
-            Some(Found::Page(entry)) if entry.page.level <= levels && is_whole(source, &entry)? => {
+            Found::Page(entry) if entry.page.level <= levels && is_whole(source, &entry)? => {
                 pending.push(entry);
             }
-            Some(Found::Marker(marker)) if marker.unit == found.units => {
+            Found::Marker(marker) if marker.unit == found.units => {
                 found.entries.append(&mut pending);
                 found.entries.extend(marker.constants);
                 found.units += 1;
@@ -117,6 +122,15 @@ pub fn unfinished(
         }
     }
     Ok(Some(found))
+}
+
+/// Whether nothing but zeros stands in `range`, which lies in the file and is shorter than
+/// [`ALIGNMENT`].
+fn is_padding(source: &dyn ByteSource, range: Range<u64>) -> Result<bool, ArchiveError> {
+    let mut bytes = Vec::new();
+    bytes.resize(usize::try_from(range.end - range.start).unwrap_or(0), 0);
+    read(source, &mut bytes, range.start)?;
+    Ok(bytes.iter().all(|&byte| byte == 0))
 }
 
 /// Whether the payload is the one that the entry speaks of.
@@ -133,14 +147,15 @@ enum Found {
     Marker(Marker),
 }
 
-/// The record at `position`, if a whole one is there, and how far it is to where the next may be.
+/// The record at `position` and where its body ends, if a whole one is there, and how far it is to
+/// where the next may be.
 fn record_at(
     source: &dyn ByteSource,
     archive: u64,
     position: u64,
     end: u64,
-) -> Result<(Option<Found>, u64), ArchiveError> {
-    const NOTHING: (Option<Found>, u64) = (None, ALIGNMENT);
+) -> Result<(Option<(Found, u64)>, u64), ArchiveError> {
+    const NOTHING: (Option<(Found, u64)>, u64) = (None, ALIGNMENT);
     if end - position < RECORD_HEAD_LEN as u64 {
         return Ok(NOTHING);
     }
@@ -150,11 +165,12 @@ fn record_at(
     let Some(length) = record_len(body_len).filter(|length| *length <= end - position) else {
         return Ok(NOTHING);
     };
+    let body_end = position + RECORD_HEAD_LEN as u64 + body_len;
     match record {
         RecordHead::Page(entry) => {
             let in_place = matches!(entry.payload, Payload::Record { offset, length, .. }
                 if offset == position && u64::from(length) == body_len);
-            Ok(if in_place { (Some(Found::Page(entry)), length) } else { NOTHING })
+            Ok(if in_place { (Some((Found::Page(entry), body_end)), length) } else { NOTHING })
         }
         RecordHead::Marker(head) => {
             // No larger than the file, because the record fits it.
@@ -162,8 +178,8 @@ fn record_at(
             read(source, &mut body, position + RECORD_HEAD_LEN as u64)?;
             // A head that is whole is believed on the length of a body that is not. It is also
             // what keeps the walk linear: no body is read twice.
-            let marker = Marker::parse(head, &body, position).ok().map(Found::Marker);
-            Ok((marker, length))
+            let marker = Marker::parse(head, &body, position).ok();
+            Ok((marker.map(|marker| (Found::Marker(marker), body_end)), length))
         }
     }
 }

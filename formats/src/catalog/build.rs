@@ -21,6 +21,11 @@ const BUILDS: &str = "build";
 const PART: &str = "part";
 const SCRATCH: &str = "scratch";
 const NOTE: &str = "note";
+/// A note that is being written.
+const NEW_NOTE: &str = "note-new";
+
+/// What stands beside the archive; the note first, which speaks of the others.
+const BESIDE: [&str; 3] = [NOTE, NEW_NOTE, SCRATCH];
 
 /// An archive under construction.
 ///
@@ -82,8 +87,9 @@ impl<'a> Build<'a> {
     /// [`CatalogError::Io`].
     pub fn cut(&mut self, length: u64) -> Result<(), CatalogError> {
         if length == 0 {
-            self.remove(NOTE)?;
-            self.remove(SCRATCH)?;
+            for beside in BESIDE {
+                self.remove(beside)?;
+            }
         }
         let path = self.path();
         let cut = self.disk.truncate(&mut self.file, length);
@@ -118,7 +124,7 @@ impl<'a> Build<'a> {
     /// [`CatalogError::Io`].
     pub fn note(&mut self, note: &[u8]) -> Result<(), CatalogError> {
         let path = path_of(&self.folder, &self.name, NOTE);
-        let temporary = path_of(&self.folder, &self.name, "note-new");
+        let temporary = path_of(&self.folder, &self.name, NEW_NOTE);
         let (disk, file) = (self.disk, &self.file);
         let write = || {
             disk.sync_file(file)?;
@@ -171,8 +177,9 @@ impl<'a> Build<'a> {
     /// Removes what stands beside the archive. What cannot be removed is, by the next build of this
     /// name.
     pub(super) fn tidy(&self) {
-        let _ = self.remove(NOTE);
-        let _ = self.remove(SCRATCH);
+        for beside in BESIDE {
+            let _ = self.remove(beside);
+        }
     }
 
     fn remove(&self, extension: &str) -> Result<(), CatalogError> {

@@ -21,7 +21,7 @@ pub use build::Build;
 pub use disk::{Disk, RealDisk};
 pub use error::CatalogError;
 pub use manifest::{DatasetRecord, Manifest};
-pub use publish::{NewDataset, publish_build, remove_dataset};
+pub use publish::{Existing, NewDataset, publish_build, remove_dataset};
 
 use crate::archive::Archive;
 use crate::body::Body;

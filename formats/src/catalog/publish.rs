@@ -1,6 +1,7 @@
 //! Changing a catalog: one atomic step a change.
 
-use std::fs::{self, File};
+use std::cell::Cell;
+use std::fs;
 use std::io;
 use std::path::Path;
 
@@ -22,6 +23,15 @@ use crate::volume::Volume;
 const LOCK: &str = "catalog.lock";
 const TEMPORARY: &str = "manifest-";
 
+/// What becomes of a dataset that is there already.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Existing {
+    /// It stays, and what was to replace it is refused.
+    Keep,
+    /// It is replaced.
+    Replace,
+}
+
 /// What the manifest is to say of a finished build.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NewDataset {
@@ -39,15 +49,18 @@ pub struct NewDataset {
     pub content: u64,
     /// What it was made from.
     pub source: Source,
+    /// What becomes of a dataset of this name that has another content.
+    pub existing: Existing,
 }
 
-/// Makes a finished build a dataset of its catalog, replacing one of its name, and returns the
-/// generation that has it.
+/// Makes a finished build a dataset of its catalog, replacing one of its name if it may, and
+/// returns the generation that has it.
 ///
 /// # Errors
 ///
 /// [`CatalogError`]; the catalog then is as it was, or has the dataset if what failed came after
-/// the link: making it durable, or sweeping.
+/// the link: making it durable, or sweeping. A build that was refused is discarded; one that the
+/// file system had no room for is left to go on with.
 pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, CatalogError> {
     build.sync()?;
     let (disk, folder, path) = (build.disk, build.folder.as_path(), build.path());
@@ -56,8 +69,8 @@ pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, Catal
     let archives = folder.join(ARCHIVES);
     let target = archives.join(&name);
 
-    let mut in_place = false;
-    let published = change(disk, folder, |newest| {
+    let in_place = Cell::new(false);
+    let step = |newest: Option<Manifest>| {
         let mut manifest = newest.unwrap_or_else(|| Manifest::empty(dataset.body.clone()));
         if manifest.datasets.is_empty() {
             manifest.body = dataset.body.clone();
@@ -68,16 +81,12 @@ pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, Catal
                 raster: dataset.body.name.clone(),
             });
         }
-        // A second try after a lost race finds the file in place.
-        if !in_place {
-            disk.rename(&path, &target)
-                .map_err(|source| CatalogError::io("rename", &path, source))?;
-            disk.sync_folder(&archives)
-                .map_err(|source| CatalogError::io("sync", &archives, source))?;
-            in_place = true;
-        }
-        let bounds = bounds_of(&target, &manifest.body)?;
         let before = manifest.datasets.iter().find(|record| record.name == dataset.name);
+        // Whoever began this build may have looked before another was published.
+        if dataset.existing == Existing::Keep && before.is_some_and(|record| record.file != name) {
+            return Err(CatalogError::Exists { name: dataset.name.clone() });
+        }
+        let bounds = bounds_of(build.source()?, &path, &manifest.body)?;
         let item = before.map_or_else(|| manifest.free_item(), |record| record.item);
         let record = DatasetRecord {
             name: dataset.name.clone(),
@@ -91,13 +100,25 @@ pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, Catal
         };
         manifest.put_in(record, bounds);
         Ok(manifest)
-    });
-    if published.is_err() && !in_place {
+    };
+    // Once the manifest is written only names change, which takes no room. What stands beside the
+    // archive goes while the name of the build is still ours.
+    let ready = || {
+        // A second try after a lost race finds the file in place.
+        if in_place.get() {
+            return Ok(());
+        }
+        build.tidy();
+        disk.rename(&path, &target).map_err(|source| CatalogError::io("rename", &path, source))?;
+        in_place.set(true);
+        disk.sync_folder(&archives).map_err(|source| CatalogError::io("sync", &archives, source))
+    };
+    let published = change(disk, folder, step, ready);
+    let refused = !matches!(published, Ok(_) | Err(CatalogError::Io { .. }));
+    if refused && !in_place.get() {
         // If it cannot be removed, the next build of this name discards it; the first error says
         // more.
         let _ = build.discard();
-    } else {
-        build.tidy();
     }
     published
 }
@@ -110,7 +131,7 @@ pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, Catal
 pub fn remove_dataset(disk: &dyn Disk, folder: &Path, name: &str) -> Result<u64, CatalogError> {
     // Asked first without the lock, whose file would make a catalog of any folder.
     super::Catalog::open(folder)?.dataset(name)?;
-    change(disk, folder, |newest| {
+    let step = |newest: Option<Manifest>| {
         let mut manifest =
             newest.ok_or_else(|| CatalogError::NotACatalog { folder: folder.to_owned() })?;
         if manifest.take_out(name).is_none() {
@@ -118,16 +139,15 @@ pub fn remove_dataset(disk: &dyn Disk, folder: &Path, name: &str) -> Result<u64,
             return Err(CatalogError::NoSuchDataset { name: name.to_owned(), folder });
         }
         Ok(manifest)
-    })
+    };
+    change(disk, folder, step, || Ok(()))
 }
 
-/// A box around the dataset whose archive is at `path`.
+/// A box around the dataset whose archive `source` is, at `path`.
 ///
 /// Colors lie on terrain that the dataset does not know: a hundredth of the body's radius up and
 /// down holds that of any planet. So it is around the whole body where the archive has no root.
-fn bounds_of(path: &Path, body: &Body) -> Result<Aabb, CatalogError> {
-    let opened = File::open(path).and_then(FileSource::new);
-    let source = opened.map_err(|source| CatalogError::io("open", path, source))?;
+fn bounds_of(source: FileSource, path: &Path, body: &Body) -> Result<Aabb, CatalogError> {
     let failed = |source| CatalogError::Archive { path: path.to_owned(), source };
     let archive = Archive::open(Box::new(source)).map_err(failed)?;
     let Description { grid, kind, .. } = archive.description();
@@ -151,11 +171,13 @@ fn bounds_of(path: &Path, body: &Body) -> Result<Aabb, CatalogError> {
     Ok(whole)
 }
 
-/// Publishes the generation that `step` makes of the newest one.
+/// Publishes the generation that `step` makes of the newest one. `ready` is called when its manifest
+/// is written and only lacks its name.
 fn change(
     disk: &dyn Disk,
     folder: &Path,
-    mut step: impl FnMut(Option<Manifest>) -> Result<Manifest, CatalogError>,
+    step: impl Fn(Option<Manifest>) -> Result<Manifest, CatalogError>,
+    ready: impl Fn() -> Result<(), CatalogError>,
 ) -> Result<u64, CatalogError> {
     let lock_path = folder.join(LOCK);
     let lock = disk
@@ -170,7 +192,7 @@ fn change(
             CatalogError::Manifest { path, reason: "no generation can follow it".to_owned() }
         })?;
         let manifest = Manifest { generation, ..step(newest)? };
-        if link_manifest(disk, folder, &manifest)? {
+        if link_manifest(disk, folder, &manifest, &ready)? {
             sweep(disk, folder, &manifest)?;
             drop(lock);
             return Ok(generation);
@@ -183,6 +205,7 @@ fn link_manifest(
     disk: &dyn Disk,
     folder: &Path,
     manifest: &Manifest,
+    ready: impl Fn() -> Result<(), CatalogError>,
 ) -> Result<bool, CatalogError> {
     let temporary = folder.join(format!("{TEMPORARY}{}", std::process::id()));
     let target = folder.join(manifest::file_name(manifest.generation));
@@ -192,7 +215,12 @@ fn link_manifest(
         disk.append(&mut file, &manifest.to_bytes())?;
         disk.sync_file(&file)
     };
-    write().map_err(|source| CatalogError::io("write", &temporary, source))?;
+    let written = write().map_err(|source| CatalogError::io("write", &temporary, source));
+    if let Err(error) = written.and_then(|()| ready()) {
+        // If it stays, the next change sweeps it.
+        let _ = disk.remove(&temporary);
+        return Err(error);
+    }
     let linked = match disk.link(&temporary, &target) {
         Ok(()) => true,
         Err(error) if error.kind() == io::ErrorKind::AlreadyExists => false,
