@@ -280,8 +280,8 @@ impl areoid_formats::catalog::Disk for FullDisk {
         areoid_formats::catalog::RealDisk.open_or_create(path)
     }
 
-    fn truncate(&self, file: &fs::File) -> std::io::Result<()> {
-        areoid_formats::catalog::RealDisk.truncate(file)
+    fn truncate(&self, file: &mut fs::File, length: u64) -> std::io::Result<()> {
+        areoid_formats::catalog::RealDisk.truncate(file, length)
     }
 
     fn append(&self, file: &mut fs::File, bytes: &[u8]) -> std::io::Result<()> {

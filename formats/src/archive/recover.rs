@@ -76,6 +76,16 @@ pub struct Unfinished {
     pub end: u64,
 }
 
+/// Whether `source` starts as the archive of `description` does and has something behind that.
+/// Nothing but the start is read.
+///
+/// # Errors
+///
+/// [`ArchiveError::Read`] if the medium fails.
+pub fn is_begun(source: &dyn ByteSource, description: &Description) -> Result<bool, ArchiveError> {
+    Ok(start(source, description)?.is_some_and(|(_, records)| source.len() > records))
+}
+
 /// What `source` has of the archive of `description`; `None` if it is another's or starts otherwise.
 ///
 /// Every byte up to [`Unfinished::end`] is proven by a checksum, payloads included.
@@ -87,16 +97,7 @@ pub fn unfinished(
     source: &dyn ByteSource,
     description: &Description,
 ) -> Result<Option<Unfinished>, ArchiveError> {
-    let Ok((archive, expected)) = description.head() else { return Ok(None) };
-    let mut front = vec![0; expected.len()];
-    let records = (front.len() as u64).next_multiple_of(ALIGNMENT);
-    if source.len() < records {
-        return Ok(None);
-    }
-    read(source, &mut front, 0)?;
-    if front != expected {
-        return Ok(None);
-    }
+    let Some((archive, records)) = start(source, description)? else { return Ok(None) };
     let mut found = Unfinished { records, end: records, ..Unfinished::default() };
     let (mut position, mut pending) = (records, Vec::new());
     let levels = description.grid.pyramid().finest();
@@ -117,6 +118,21 @@ pub fn unfinished(
         }
     }
     Ok(Some(found))
+}
+
+/// The archive of `description` and where its records start, if that is what `source` starts with.
+fn start(
+    source: &dyn ByteSource,
+    description: &Description,
+) -> Result<Option<(u64, u64)>, ArchiveError> {
+    let Ok((archive, expected)) = description.head() else { return Ok(None) };
+    let mut front = vec![0; expected.len()];
+    let records = (front.len() as u64).next_multiple_of(ALIGNMENT);
+    if source.len() < records {
+        return Ok(None);
+    }
+    read(source, &mut front, 0)?;
+    Ok((front == expected).then_some((archive, records)))
 }
 
 /// Whether the payload is the one that the entry speaks of.
