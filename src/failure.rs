@@ -3,6 +3,8 @@
 use std::error::Error;
 use std::process::ExitCode;
 
+use crate::output;
+
 /// Exit status of a call that makes no sense.
 const MISUSED: u8 = 2;
 
@@ -11,6 +13,13 @@ const MISUSED: u8 = 2;
 pub(crate) enum Failure {
     /// It could not.
     Failed(Box<dyn Error>),
+    /// It could not, and this is a command that goes on from there.
+    Unfinished {
+        /// Why.
+        reason: Box<dyn Error>,
+        /// What to type.
+        command: String,
+    },
     /// It was asked for something that makes no sense.
     Misused(String),
 }
@@ -23,23 +32,31 @@ impl<E: Error + 'static> From<E> for Failure {
 
 impl Failure {
     /// Prints it, a line for each cause, and says how to exit.
-    #[expect(clippy::print_stderr, reason = "the one place that prints errors")]
     pub(crate) fn report(&self) -> ExitCode {
         match self {
             // Whoever reads our output has had enough of it.
             Self::Failed(error) if is_broken_pipe(error.as_ref()) => ExitCode::SUCCESS,
             Self::Failed(error) => {
-                eprintln!("error: {error}");
-                for cause in std::iter::successors(error.source(), |&cause| cause.source()) {
-                    eprintln!("  caused by: {cause}");
-                }
+                say_why(error.as_ref());
+                ExitCode::FAILURE
+            }
+            Self::Unfinished { reason, command } => {
+                say_why(reason.as_ref());
+                output::say(format!("to go on: {command}"));
                 ExitCode::FAILURE
             }
             Self::Misused(reason) => {
-                eprintln!("error: {reason}");
+                output::say(format!("error: {reason}"));
                 ExitCode::from(MISUSED)
             }
         }
+    }
+}
+
+fn say_why(error: &(dyn Error + 'static)) {
+    output::say(format!("error: {error}"));
+    for cause in std::iter::successors(error.source(), |&cause| cause.source()) {
+        output::say(format!("  caused by: {cause}"));
     }
 }
 

@@ -1,18 +1,28 @@
 //! `areoid ingest`.
 
-use std::path::PathBuf;
+use std::borrow::Cow;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Duration;
 
 use areoid_formats::catalog::RealDisk;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
-use areoid_preprocess::build::{Proceed, Progress};
-use areoid_preprocess::ingest::{Existing, Outcome, Reading, Request, Unfinished, ingest};
+use areoid_preprocess::build::Progress;
+use areoid_preprocess::build_error::BuildError;
+use areoid_preprocess::estimate::{Estimate, Measured};
+use areoid_preprocess::ingest::{
+    Event, Existing, IngestError, Outcome, Reading, Request, Unfinished, ingest,
+};
 use serde_json::json;
 
 use crate::args::numbers;
 use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::progress::{Bar, Screen};
+use crate::resources::PeakMemory;
 use crate::{output, resources};
 
 /// Turn rasters into a dataset of a catalog.
@@ -162,14 +172,21 @@ impl Args {
         }
         let as_json = self.json;
         let request = self.request();
-        let mut peak = 0;
-        let outcome = ingest(&RealDisk, &request, |progress| {
-            peak = peak.max(resources::anonymous_bytes().unwrap_or(0));
-            report(progress);
-            Proceed::Yes
-        })?;
+        let peak = PeakMemory::watch();
+        let screen = Arc::new(Screen::new(if as_json { Bar::Unwanted } else { Bar::Wanted }));
+        let seen_by_handler = Arc::clone(&screen);
+        let interrupt = Interrupt::listen(move || seen_by_handler.say_stopping())?;
+        let outcome = ingest(&RealDisk, &request, |event| {
+            screen.show(&event);
+            if let Event::Estimated(estimate) = &event {
+                warn_of_full_disk(&screen, estimate, &request.catalog);
+            }
+            interrupt.proceed()
+        });
+        screen.clear();
+        let outcome = outcome.map_err(|error| failure(error, screen.progress()))?;
         if as_json {
-            output::json(&summary(&outcome, peak))?;
+            output::json(&summary(&outcome, peak.bytes()))?;
         } else {
             output::line(text(&outcome))?;
         }
@@ -218,13 +235,60 @@ fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A line of progress for work that takes longer than a breath.
-fn report(progress: Progress) {
-    let seconds = progress.elapsed.as_secs_f64();
-    if seconds > 2.0 {
-        let (done, units) = (progress.units_done, progress.units);
-        let left = seconds / done as f64 * (units - done) as f64;
-        output::say(format!("unit {done} of {units}, {left:.0} s left"));
+/// Says beforehand that there is not enough room for what is expected.
+fn warn_of_full_disk(screen: &Screen, estimate: &Estimate, catalog: &Path) {
+    let (Some(measured), Some(free)) = (estimate.measured, resources::free_bytes(catalog)) else {
+        return;
+    };
+    if free < measured.bytes {
+        let gigabytes = |bytes: u64| bytes as f64 / 1e9;
+        screen.say(format!(
+            "warning: {:.2} GB are free where the catalog is, and about {:.2} GB to be written",
+            gigabytes(free),
+            gigabytes(measured.bytes)
+        ));
+    }
+}
+
+/// An ingest that did not come to its end, with how to go on if that is possible.
+fn failure(error: IngestError, progress: Option<Progress>) -> Failure {
+    if !error.can_be_resumed() {
+        return error.into();
+    }
+    let interrupted = matches!(
+        &error,
+        IngestError::Build { source, .. } if matches!(**source, BuildError::Interrupted)
+    );
+    let reason = match progress {
+        Some(Progress { units_done, units_resumed, units, .. }) if interrupted => {
+            format!("interrupted after {} of {units} units", units_done.max(units_resumed)).into()
+        }
+        _ => error.into(),
+    };
+    let arguments: Vec<_> = std::env::args_os().collect();
+    let arguments = arguments.iter().map(|argument| argument.to_string_lossy());
+    Failure::Unfinished { reason, command: command_to_go_on(arguments) }
+}
+
+/// The command line with `--resume`, for a POSIX shell.
+fn command_to_go_on<'a>(arguments: impl Iterator<Item = Cow<'a, str>>) -> String {
+    let mut arguments: Vec<_> = arguments.collect();
+    // Behind `--` it would be a raster.
+    let end = arguments.iter().position(|argument| argument == "--").unwrap_or(arguments.len());
+    if !arguments[..end].iter().any(|argument| argument == "--resume") {
+        arguments.insert(end, "--resume".into());
+    }
+    let quoted: Vec<_> = arguments.iter().map(|argument| quoted(argument)).collect();
+    quoted.join(" ")
+}
+
+/// An argument as a POSIX shell reads it.
+fn quoted(argument: &str) -> Cow<'_, str> {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_./,:=@%+-".contains(c);
+    if !argument.is_empty() && argument.chars().all(plain) {
+        argument.into()
+    } else {
+        format!("'{}'", argument.replace('\'', r"'\''")).into()
     }
 }
 
@@ -241,9 +305,21 @@ fn summary(outcome: &Outcome, peak: u64) -> serde_json::Value {
         "mpx_per_s": outcome.pixels as f64 / 1e6 / outcome.seconds,
         "peak_memory_bytes": peak,
         "decoded_blocks": outcome.decoded_blocks,
+        "estimate": outcome.estimate.as_ref().map(estimate),
         "bound": largest(outcome, |level| level.bound_max),
         "source_error": largest(outcome, |level| level.source_error_max),
         "resumed_units": outcome.resumed_units,
+    })
+}
+
+/// Bytes and seconds are null where nothing was measured.
+fn estimate(estimate: &Estimate) -> serde_json::Value {
+    let measured = estimate.measured;
+    json!({
+        "pages": estimate.pages,
+        "bytes": measured.map(|measured| measured.bytes),
+        "seconds": measured.map(|measured| measured.seconds),
+        "decoded_blocks": measured.map_or(0, |measured| measured.decoded_blocks),
     })
 }
 
@@ -260,8 +336,35 @@ fn text(outcome: &Outcome) -> String {
     let rate = outcome.pixels as f64 / 1e6 / seconds;
     let bound = largest(outcome, |level| level.bound_max);
     let error = largest(outcome, |level| level.source_error_max);
-    format!(
+    let mut text = format!(
         "{dataset}: {pages} pages, {bytes} bytes in {seconds:.2} s ({rate:.1} Mpx/s); \
-         coarsest bound {bound}, error against the source {error}"
-    )
+         coarsest bound {bound}, error against the source {error}; {} blocks decoded",
+        outcome.decoded_blocks
+    );
+    if outcome.resumed_units > 0 {
+        let _ = write!(text, ", {} units kept of an earlier build", outcome.resumed_units);
+    }
+    if let Some(measured) = outcome.estimate.and_then(|estimate| estimate.measured) {
+        let Measured { bytes, seconds, .. } = measured;
+        let _ = write!(text, "; expected were {bytes} bytes in {seconds:.2} s");
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_to_go_on_is_one_a_shell_reads_back() {
+        let go_on = |arguments: &[&str]| {
+            command_to_go_on(arguments.iter().map(|&argument| Cow::Borrowed(argument)))
+        };
+        let plain = ["areoid", "ingest", "a/b.tif", "--extent", "-10,-34,10,8"];
+        assert_eq!(go_on(&plain), "areoid ingest a/b.tif --extent -10,-34,10,8 --resume");
+        let odd = ["areoid", "ingest", "--resume", "it's a map.tif", ""];
+        assert_eq!(go_on(&odd), r"areoid ingest --resume 'it'\''s a map.tif' ''");
+        let behind = ["areoid", "ingest", "--", "--resume"];
+        assert_eq!(go_on(&behind), "areoid ingest --resume -- --resume");
+    }
 }

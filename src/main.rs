@@ -6,9 +6,11 @@ mod failure;
 mod height;
 mod info;
 mod ingest;
+mod interrupt;
 mod npy;
 mod output;
 mod page;
+mod progress;
 mod remove;
 mod resources;
 #[cfg(feature = "viewer")]

@@ -113,6 +113,10 @@ pub struct Progress {
     pub units: usize,
     /// Leaves read.
     pub leaves: u64,
+    /// Texels of the finest level done.
+    pub texels: u64,
+    /// Those among them that did not have to be done again.
+    pub texels_skipped: u64,
     /// Bytes of the archive so far.
     pub bytes: u64,
     /// Time since the build began.
@@ -174,6 +178,8 @@ fn build_of<S: Texel, W: Site + Send>(
         units_resumed: 0,
         units: schedule.remaining(),
         leaves: 0,
+        texels: 0,
+        texels_skipped: 0,
         bytes: 0,
         elapsed: Duration::ZERO,
     };
@@ -196,8 +202,10 @@ fn build_of<S: Texel, W: Site + Send>(
         && let Some(step) = schedule.next()
     {
         step.read.iter().for_each(|&leaf| leaves.skip(leaf));
+        progress.texels_skipped += texels(description, &step);
         progress.units_done += 1;
     }
+    progress.texels = progress.texels_skipped;
 
     let mut next = schedule.next();
     let mut raws = read(leaves, next.as_ref())?;
@@ -205,6 +213,7 @@ fn build_of<S: Texel, W: Site + Send>(
     while let Some(step) = next {
         next = schedule.next();
         progress.leaves += step.read.len() as u64;
+        progress.texels += texels(description, &step);
         let (done, ahead) = rayon::join(
             || take(&mut shop, &step, next.as_ref(), raws, &mut writer, progress.units_done),
             || read(leaves, next.as_ref()),
@@ -253,6 +262,12 @@ fn take<S: Texel>(
         }
     })?;
     writer.end_unit().map_err(BuildError::Write)
+}
+
+/// Texels of the leaves of a step.
+fn texels(description: &Description, step: &Step) -> u64 {
+    let sizes = step.read.iter().map(|&leaf| description.grid.pyramid().interior_size(leaf));
+    sizes.map(|(rows, cols)| u64::from(rows) * u64::from(cols)).sum()
 }
 
 /// Reads the leaves of a step, if there is one.

@@ -16,14 +16,17 @@ use areoid_formats::codec::{Quantum, QuantumError};
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
+use areoid_formats::storage::ByteSource as _;
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::build::{self, Begun, Means, Proceed, Progress, Site};
 use crate::build_error::BuildError;
-use crate::feather::FEATHER_TEXELS;
+use crate::estimate::Estimate;
+use crate::feather::{FEATHER_TEXELS, HALO};
 use crate::mosaic::{Mosaic, MosaicError};
 use crate::note::Note;
 use crate::raster::{self, Overflow, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
+use crate::schedule::Schedule;
 use crate::scratch::{Aside, Scratch};
 
 /// Leaf pages along a side of a work unit.
@@ -85,6 +88,47 @@ pub struct Reading {
     pub latitudes: Option<LatitudeKind>,
 }
 
+/// What an ingest tells of itself, in this order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Event {
+    /// It begins to read what the rasters are.
+    Opening,
+    /// It hashes the input.
+    Hashing {
+        /// Bytes hashed.
+        done: u64,
+        /// Bytes of all files.
+        bytes: u64,
+    },
+    /// A build was left that did not come to its end.
+    Leftover(Leftover),
+    /// It begins to measure a few leaves, if there are many.
+    Measuring,
+    /// It begins to build.
+    Estimated(Estimate),
+    /// It has done a work unit.
+    Building(Progress),
+    /// It begins to make durable and public what it built.
+    Publishing,
+}
+
+/// What becomes of a build that was left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Leftover {
+    /// It is one of the same input with the same options, and gone on with.
+    Resumed {
+        /// Its work units.
+        units: u64,
+        /// Those that are done again, without being written.
+        again: u64,
+    },
+    /// It could have been gone on with, but was to be discarded.
+    Discarded,
+    /// It is one of another input, or with other options: discarded.
+    Unrelated,
+}
+
 /// What an ingest did.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
@@ -100,8 +144,10 @@ pub struct Outcome {
     pub bytes: u64,
     /// Pixels read.
     pub pixels: u64,
-    /// Blocks of the rasters that were decoded.
+    /// Blocks of the rasters that were decoded, without those of the estimate.
     pub decoded_blocks: u64,
+    /// What was expected; `None` if there was nothing to do.
+    pub estimate: Option<Estimate>,
     /// Work units that an earlier process had done.
     pub resumed_units: u64,
     /// Wall-clock seconds.
@@ -143,6 +189,9 @@ pub enum IngestError {
     /// A request that makes no sense.
     #[error("{0}")]
     Request(String),
+    /// The caller asked to stop before the build began.
+    #[error("interrupted before the build began")]
+    Interrupted,
     /// The threads cannot be started.
     #[error("cannot start the threads: {0}")]
     Threads(String),
@@ -168,7 +217,11 @@ macro_rules! boxed {
 }
 boxed!(RasterError: Raster, MosaicError: Mosaic, CatalogError: Catalog);
 
-/// Ingests; `watch` is called after each work unit.
+/// Who is told of events and asked whether to go on. Only while hashing and after a work unit is
+/// the answer heeded.
+type Watch<'a> = &'a mut (dyn FnMut(Event) -> Proceed + Send);
+
+/// Ingests; `watch` is told how it goes, and may stop it while it hashes and after each work unit.
 ///
 /// # Errors
 ///
@@ -176,20 +229,21 @@ boxed!(RasterError: Raster, MosaicError: Mosaic, CatalogError: Catalog);
 pub fn ingest(
     disk: &dyn Disk,
     request: &Request,
-    mut watch: impl FnMut(Progress) -> Proceed + Send,
+    mut watch: impl FnMut(Event) -> Proceed + Send,
 ) -> Result<Outcome, IngestError> {
     let start = Instant::now();
+    watch(Event::Opening);
     let mut catalog = newest(&request.catalog)?;
-    let (description, mut mosaic) = plan(request, catalog.as_ref())?;
-    let extent = description.grid.pyramid().extent();
+    let (description, mut mosaic) = plan(request, catalog.as_ref(), &mut watch)?;
     let mut outcome = Outcome {
         dataset: description.dataset.clone(),
         already_there: false,
         generation: 0,
         summary: Summary::default(),
         bytes: 0,
-        pixels: u64::from(extent.width) * u64::from(extent.height),
+        pixels: 0,
         decoded_blocks: 0,
+        estimate: None,
         resumed_units: 0,
         seconds: 0.0,
     };
@@ -214,14 +268,25 @@ pub fn ingest(
         return Ok(outcome);
     }
 
-    let (mut build, begun) = begin(disk, request, &description)?;
+    let (mut build, begun, leftover) = begin(disk, request, &description)?;
+    if let Some(leftover) = leftover {
+        watch(Event::Leftover(leftover));
+    }
     outcome.resumed_units = begun.as_ref().map_or(0, |begun| begun.archive.units);
     let mut has_units = outcome.resumed_units > 0;
-    let watch = |progress| {
-        has_units = true;
-        watch(progress)
+    let mut note = |event: Event| {
+        match event {
+            Event::Estimated(estimate) => outcome.estimate = Some(estimate),
+            Event::Building(progress) => {
+                has_units = true;
+                outcome.pixels = progress.texels - progress.texels_skipped;
+            }
+            _ => {}
+        }
+        watch(event)
     };
-    let written = match write(request, &description, &mut mosaic, (&mut build, begun), watch) {
+    let written = write(request, &description, &mut mosaic, (&mut build, begun), &mut note);
+    let written = match written {
         Ok(written) => written,
         Err(error) => {
             if !(has_units && error.can_be_resumed()) {
@@ -232,6 +297,7 @@ pub fn ingest(
             return Err(error);
         }
     };
+    watch(Event::Publishing);
     outcome.generation = publish_build(
         build,
         NewDataset {
@@ -259,27 +325,38 @@ fn newest(folder: &Path) -> Result<Option<Catalog>, IngestError> {
         Err(error) => Err(error.into()),
     }
 }
+/// The place of a build, what is gone on with there, and what is told of what was left.
+type Place<'a> = (Build<'a>, Option<Begun>, Option<Leftover>);
 
 /// Opens the place of the build, and what is left there of an earlier one that can be gone on with.
 fn begin<'a>(
     disk: &'a dyn Disk,
     request: &Request,
     description: &Description,
-) -> Result<(Build<'a>, Option<Begun>), IngestError> {
+) -> Result<Place<'a>, IngestError> {
     let (folder, name) = (&request.catalog, &description.dataset);
-    if request.unfinished == Unfinished::Discard {
-        return Ok((Build::start(disk, folder, name)?, None));
-    }
     let mut build = Build::resume(disk, folder, name)?;
-    let archive = recover::unfinished(&build.source()?, description)
+    let source = build.source()?;
+    let left = !source.is_empty();
+    if request.unfinished == Unfinished::Discard {
+        // What cannot be read could not have been gone on with.
+        let ours = recover::is_begun(&source, description).unwrap_or(false);
+        build.cut(0)?;
+        let leftover = if ours { Leftover::Discarded } else { Leftover::Unrelated };
+        return Ok((build, None, left.then_some(leftover)));
+    }
+    let archive = recover::unfinished(&source, description)
         .map_err(|source| IngestError::Leftover { dataset: name.clone(), source })?;
+    let unrelated = left && archive.is_none();
     let Some(archive) = archive.filter(|archive| archive.units > 0) else {
         build.cut(0)?;
-        return Ok((build, None));
+        return Ok((build, None, unrelated.then_some(Leftover::Unrelated)));
     };
     build.cut(archive.end)?;
     let note = build.last_note()?.and_then(|note| Note::from_bytes(&note));
-    Ok((build, Some(Begun { archive, note })))
+    let noted = note.as_ref().map_or(0, |note| note.units).min(archive.units);
+    let leftover = Leftover::Resumed { units: archive.units, again: archive.units - noted };
+    Ok((build, Some(Begun { archive, note }), Some(leftover)))
 }
 
 /// Bytes of heads, padding and small payloads that are written together; payloads of this size go
@@ -312,7 +389,7 @@ fn write(
     description: &Description,
     mosaic: &mut Mosaic,
     (build, begun): (&mut Build<'_>, Option<Begun>),
-    watch: impl FnMut(Progress) -> Proceed + Send,
+    watch: Watch<'_>,
 ) -> Result<Written, IngestError> {
     let failed = |source| IngestError::Build {
         dataset: description.dataset.clone(),
@@ -327,6 +404,15 @@ fn write(
     let scratch = scratch.map_err(|error| failed(BuildError::Scratch(error)))?;
     let scratch = Arc::new(scratch);
     let spare_bytes = request.memory_bytes.saturating_sub(step_bytes(description));
+    watch(Event::Measuring);
+    let pyramid = description.grid.pyramid();
+    let done = begun.as_ref().map_or(0, |begun| begun.archive.units) as f64;
+    let units = Schedule::new(pyramid, description.unit_pages, HALO).remaining().max(1) as f64;
+    let estimate = threads.install(|| {
+        let left = 1.0 - done / units;
+        Estimate::of(pyramid).measure(description, mosaic, &scratch, spare_bytes, left)
+    });
+    watch(Event::Estimated(estimate));
     // A quarter for the rasters' blocks, which wait only where strips are wide.
     let aside = Arc::new(Aside::new(Arc::clone(&scratch)));
     mosaic.spill(&Arc::new(Overflow::new(aside, spare_bytes / 4)));
@@ -334,7 +420,10 @@ fn write(
     let means = Means { scratch, frontier_bytes, note_every: request.note_every };
     let mosaic = &*mosaic;
     let site = Buffered(BufWriter::with_capacity(WRITTEN_TOGETHER, build));
-    let built = threads.install(|| build::build(description, mosaic, site, &means, begun, watch));
+    let built = threads.install(|| {
+        let watch = |progress| watch(Event::Building(progress));
+        build::build(description, mosaic, site, &means, begun, watch)
+    });
     if !matches!(built, Err(BuildError::Interrupted)) {
         // What was made of rasters that changed is of no use, and says why they could not be read.
         mosaic.check_unchanged()?;
@@ -385,6 +474,7 @@ fn existing(
 fn plan(
     request: &Request,
     catalog: Option<&Catalog>,
+    watch: Watch<'_>,
 ) -> Result<(Description, Mosaic), IngestError> {
     let catalog_body = catalog.filter(|c| !c.datasets().is_empty()).map(Catalog::body);
     let (rasters, crs, body) = open(&request.rasters, &request.reading, catalog_body)?;
@@ -409,7 +499,7 @@ fn plan(
         }
     };
     let mosaic = Mosaic::new(rasters, crs, kind, request.page_side)?;
-    let files = request.rasters.iter().map(|path| fingerprint(path)).collect::<Result<_, _>>()?;
+    let files = fingerprints(&request.rasters, watch)?;
     let reading = &request.reading;
     let source = Source {
         files,
@@ -506,8 +596,25 @@ pub fn latitudes_name(kind: LatitudeKind) -> &'static str {
     }
 }
 
-/// A file's name, length and content.
-fn fingerprint(path: &Path) -> Result<SourceFile, IngestError> {
+/// Names, lengths and contents of files.
+fn fingerprints(paths: &[PathBuf], watch: Watch<'_>) -> Result<Vec<SourceFile>, IngestError> {
+    let length = |path: &PathBuf| path.metadata().map_or(0, |data| data.len());
+    let (mut done, bytes) = (0, paths.iter().map(length).sum());
+    let mut count = |read| {
+        done += read;
+        match watch(Event::Hashing { done, bytes }) {
+            Proceed::Yes => Ok(()),
+            Proceed::No => Err(IngestError::Interrupted),
+        }
+    };
+    paths.iter().map(|path| fingerprint(path, &mut count)).collect()
+}
+
+/// A file's name, length and content; `count` is told of bytes read.
+fn fingerprint(
+    path: &Path,
+    count: &mut dyn FnMut(u64) -> Result<(), IngestError>,
+) -> Result<SourceFile, IngestError> {
     let failed = |source: io::Error| CatalogError::io("read", path, source);
     let mut file = File::open(path).map_err(failed)?;
     let (mut hash, mut bytes) = (Xxh3::new(), 0);
@@ -519,6 +626,7 @@ fn fingerprint(path: &Path) -> Result<SourceFile, IngestError> {
         }
         hash.update(&buffer[..read]);
         bytes += read as u64;
+        count(read as u64)?;
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     Ok(SourceFile { name, bytes, xxh3: format!("{:032x}", hash.digest128()) })

@@ -32,6 +32,8 @@ pub mod build;
 
 pub mod mosaic;
 
+pub mod estimate;
+
 pub mod ingest;
 
 pub mod verify;

@@ -8,7 +8,7 @@ use std::time::{Duration, SystemTime};
 
 use areoid_formats::catalog::RealDisk;
 use areoid_preprocess::build::Proceed;
-use areoid_preprocess::ingest::ingest;
+use areoid_preprocess::ingest::{Event, ingest};
 use tempfile::TempDir;
 
 use super::rig::{self, SMALL, Subject, soak};
@@ -58,8 +58,9 @@ fn a_raster_that_changes_while_it_is_read_is_noticed() {
             let before = fs::read(catalog.join("manifest.1")).unwrap();
 
             let mut changed = false;
-            let error = ingest(&RealDisk, &subject.request(&catalog), |_| {
-                if !std::mem::replace(&mut changed, true) {
+            let error = ingest(&RealDisk, &subject.request(&catalog), |event| {
+                let building = matches!(event, Event::Building(_));
+                if building && !std::mem::replace(&mut changed, true) {
                     change(&raster);
                 }
                 Proceed::Yes

@@ -7,8 +7,8 @@ use std::sync::LazyLock;
 use std::time::Duration;
 
 use areoid_formats::catalog::{Catalog, RealDisk};
-use areoid_preprocess::build::{Proceed, Progress};
-use areoid_preprocess::ingest::{self, Existing, Outcome, Reading, Request, Unfinished};
+use areoid_preprocess::build::Proceed;
+use areoid_preprocess::ingest::{self, Event, Existing, Outcome, Reading, Request, Unfinished};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -161,19 +161,20 @@ impl Subject {
     pub(crate) fn half_build(&self, catalog: &Path, noted: usize, units: usize) {
         let request = self.request(catalog);
         if noted > 0 {
-            let stop = |progress: Progress| {
-                if progress.units_done == noted { Proceed::No } else { Proceed::Yes }
+            let stop = |event: Event| match event {
+                Event::Building(progress) if progress.units_done == noted => Proceed::No,
+                _ => Proceed::Yes,
             };
             let stopped = ingest::ingest(&RealDisk, &request, stop).unwrap_err();
             assert!(stopped.can_be_resumed(), "{stopped}");
         }
         // A note is written whenever a build stops; one that is killed writes none.
         let die = std::panic::AssertUnwindSafe(|| {
-            ingest::ingest(&RealDisk, &request, |progress| {
-                if progress.units_done >= units {
-                    std::panic::resume_unwind(Box::new("killed"));
+            ingest::ingest(&RealDisk, &request, |event| match event {
+                Event::Building(progress) if progress.units_done >= units => {
+                    std::panic::resume_unwind(Box::new("killed"))
                 }
-                Proceed::Yes
+                _ => Proceed::Yes,
             })
         });
         assert!(std::panic::catch_unwind(die).is_err());
@@ -182,8 +183,10 @@ impl Subject {
     /// Goes on in this process, to the end; also tells how many leaves were read for it.
     pub(crate) fn resume(&self, catalog: &Path) -> (Outcome, u64) {
         let mut leaves = 0;
-        let count = |progress: Progress| {
-            leaves = progress.leaves;
+        let count = |event: Event| {
+            if let Event::Building(progress) = event {
+                leaves = progress.leaves;
+            }
             Proceed::Yes
         };
         (ingest::ingest(&RealDisk, &self.request(catalog), count).unwrap(), leaves)

@@ -76,6 +76,16 @@ pub struct Unfinished {
     pub end: u64,
 }
 
+/// Whether `source` starts as the archive of `description` does and has something behind that.
+/// Nothing but the start is read.
+///
+/// # Errors
+///
+/// [`ArchiveError::Read`] if the medium fails.
+pub fn is_begun(source: &dyn ByteSource, description: &Description) -> Result<bool, ArchiveError> {
+    Ok(start(source, description)?.is_some_and(|(_, records)| source.len() > records))
+}
+
 /// What `source` has of the archive of `description`; `None` if it is another's or starts otherwise.
 ///
 /// Every byte up to [`Unfinished::end`] is proven: by a checksum, payloads included, or as a zero
@@ -88,16 +98,7 @@ pub fn unfinished(
     source: &dyn ByteSource,
     description: &Description,
 ) -> Result<Option<Unfinished>, ArchiveError> {
-    let Ok((archive, expected)) = description.head() else { return Ok(None) };
-    let mut front = vec![0; expected.len()];
-    let records = (front.len() as u64).next_multiple_of(ALIGNMENT);
-    if source.len() < records {
-        return Ok(None);
-    }
-    read(source, &mut front, 0)?;
-    if front != expected || !is_padding(source, front.len() as u64..records)? {
-        return Ok(None);
-    }
+    let Some((archive, records)) = start(source, description)? else { return Ok(None) };
     let mut found = Unfinished { records, end: records, ..Unfinished::default() };
     let (mut position, mut pending) = (records, Vec::new());
     let levels = description.grid.pyramid().finest();
@@ -127,10 +128,25 @@ pub fn unfinished(
 /// Whether nothing but zeros stands in `range`, which lies in the file and is shorter than
 /// [`ALIGNMENT`].
 fn is_padding(source: &dyn ByteSource, range: Range<u64>) -> Result<bool, ArchiveError> {
-    let mut bytes = Vec::new();
-    bytes.resize(usize::try_from(range.end - range.start).unwrap_or(0), 0);
+    let mut bytes = vec![0; usize::try_from(range.end - range.start).unwrap_or(0)];
     read(source, &mut bytes, range.start)?;
     Ok(bytes.iter().all(|&byte| byte == 0))
+}
+
+/// The archive of `description` and where its records start, if that is what `source` starts with.
+fn start(
+    source: &dyn ByteSource,
+    description: &Description,
+) -> Result<Option<(u64, u64)>, ArchiveError> {
+    let Ok((archive, expected)) = description.head() else { return Ok(None) };
+    let mut front = vec![0; expected.len()];
+    let records = (front.len() as u64).next_multiple_of(ALIGNMENT);
+    if source.len() < records {
+        return Ok(None);
+    }
+    read(source, &mut front, 0)?;
+    let whole = front == expected && is_padding(source, front.len() as u64..records)?;
+    Ok(whole.then_some((archive, records)))
 }
 
 /// Whether the payload is the one that the entry speaks of.

@@ -1,5 +1,6 @@
 //! Leaves cut from the rasters of a mosaic.
 
+use std::collections::HashSet;
 use std::ops::Range;
 
 use areoid_formats::address::PageAddress;
@@ -79,6 +80,22 @@ impl Leaves for Mosaic {
                 && part.is_solid()
         };
         !self.parts.iter().any(whole)
+    }
+}
+
+impl Mosaic {
+    /// Pixels of the blocks that are decoded for `leaves`.
+    #[must_use]
+    pub fn decoded_for(&self, leaves: &[PageAddress]) -> u64 {
+        let places = leaves.iter().map(|&leaf| Place::of(self.grid.pyramid(), leaf));
+        let places: Vec<_> = places.collect();
+        let pixels = |part: &Part| {
+            let overlaps = places.iter().filter_map(|&place| part.overlap(place));
+            let blocks: HashSet<_> = overlaps.flat_map(|at| part.blocks_of(&at)).collect();
+            let info = part.raster.info();
+            blocks.len() as u64 * u64::from(info.block_width) * u64::from(info.block_height)
+        };
+        self.parts.iter().map(pixels).sum()
     }
 }
 

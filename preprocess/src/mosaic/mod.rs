@@ -179,6 +179,17 @@ impl Mosaic {
         Ok(Self { grid, kind, parts })
     }
 
+    /// The same rasters, decoding blocks of its own, which stay as long as it does.
+    #[must_use]
+    pub fn apart(&self) -> Self {
+        let apart = |part: &Part| {
+            let blocks = BlockCache::new(Arc::clone(&part.raster), |_, _| u32::MAX);
+            Part { raster: Arc::clone(&part.raster), blocks, ..*part }
+        };
+        let parts = self.parts.iter().map(apart).collect();
+        Self { grid: self.grid.clone(), kind: self.kind, parts }
+    }
+
     /// Gives the blocks of all rasters together a budget: what is beyond it is
     /// set aside.
     ///
