@@ -1,0 +1,153 @@
+//! Ingest: rasters become a dataset of a catalog.
+
+mod request;
+
+mod plan;
+
+mod place;
+
+use std::path::Path;
+use std::time::Instant;
+
+use areoid_formats::archive::{Description, Summary};
+pub use areoid_formats::catalog::Existing;
+use areoid_formats::catalog::{Catalog, CatalogError, Disk, NewDataset, publish_build};
+
+pub use self::plan::{Opened, latitudes_name, open, reopen};
+pub use self::request::{Event, IngestError, Leftover, Outcome, Reading, Request, Unfinished};
+
+use self::place::{begin, write};
+use self::plan::plan;
+use crate::build::Proceed;
+
+/// Leaf pages along a side of a work unit.
+pub const UNIT_PAGES: u32 = 8;
+
+/// Ingests; `watch` is told how it goes, and may stop it while it hashes and after each work unit.
+///
+/// # Errors
+///
+/// Any [`IngestError`]; the catalog is then as it was.
+pub fn ingest(
+    disk: &dyn Disk,
+    request: &Request,
+    mut watch: impl FnMut(Event) -> Proceed + Send,
+) -> Result<Outcome, IngestError> {
+    let start = Instant::now();
+    watch(Event::Opening);
+    let mut catalog = newest(&request.catalog)?;
+    let (description, mut mosaic) = plan(request, catalog.as_ref(), &mut watch)?;
+    let mut outcome = Outcome {
+        dataset: description.dataset.clone(),
+        already_there: false,
+        generation: 0,
+        summary: Summary::default(),
+        bytes: 0,
+        pixels: 0,
+        decoded_blocks: 0,
+        estimate: None,
+        resumed_units: 0,
+        seconds: 0.0,
+    };
+    let there = loop {
+        let Some(opened) = &catalog else { break None };
+        match existing(opened, &description, request.existing) {
+            // Another process may have replaced or removed it since the catalog was opened.
+            Err(IngestError::Catalog(error)) if matches!(*error, CatalogError::Missing { .. }) => {
+                let generation = opened.generation();
+                catalog = newest(&request.catalog)?;
+                if catalog.as_ref().is_none_or(|newer| newer.generation() == generation) {
+                    return Err(IngestError::Catalog(error));
+                }
+            }
+            there => break there?,
+        }
+    };
+    if let (Some(catalog), Some((summary, bytes))) = (&catalog, there) {
+        (outcome.already_there, outcome.generation) = (true, catalog.generation());
+        (outcome.summary, outcome.bytes) = (summary, bytes);
+        outcome.seconds = start.elapsed().as_secs_f64();
+        return Ok(outcome);
+    }
+
+    let (mut build, begun, leftover) = begin(disk, request, &description)?;
+    if let Some(leftover) = leftover {
+        watch(Event::Leftover(leftover));
+    }
+    outcome.resumed_units = begun.as_ref().map_or(0, |begun| begun.archive.units);
+    let mut has_units = outcome.resumed_units > 0;
+    let mut note = |event: Event| {
+        match event {
+            Event::Estimated(estimate) => outcome.estimate = Some(estimate),
+            Event::Building(progress) => {
+                has_units = true;
+                outcome.pixels = progress.texels - progress.texels_skipped;
+            }
+            _ => {}
+        }
+        watch(event)
+    };
+    let written = write(request, &description, &mut mosaic, (&mut build, begun), &mut note);
+    let written = match written {
+        Ok(written) => written,
+        Err(error) => {
+            if !(has_units && error.can_be_resumed()) {
+                // What cannot be removed either is swept by the next build of this name; the first
+                // error says more.
+                let _ = build.discard();
+            }
+            return Err(error);
+        }
+    };
+    watch(Event::Publishing);
+    outcome.generation = publish_build(
+        build,
+        NewDataset {
+            name: description.dataset,
+            kind: description.kind,
+            priority: description.priority,
+            body: description.body,
+            bytes: written.bytes,
+            content: written.content,
+            source: description.source,
+            existing: request.existing,
+        },
+    )?;
+    (outcome.summary, outcome.bytes) = (written.summary, written.bytes);
+    outcome.decoded_blocks = mosaic.decoded_blocks();
+    outcome.seconds = start.elapsed().as_secs_f64();
+    Ok(outcome)
+}
+
+/// The newest generation of the catalog, if there is one.
+fn newest(folder: &Path) -> Result<Option<Catalog>, IngestError> {
+    match Catalog::open(folder) {
+        Ok(catalog) => Ok(Some(catalog)),
+        Err(CatalogError::NotACatalog { .. }) => Ok(None),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// What the catalog has under the name of `description`, if that is the same dataset.
+fn existing(
+    catalog: &Catalog,
+    description: &Description,
+    policy: Existing,
+) -> Result<Option<(Summary, u64)>, IngestError> {
+    let Ok(record) = catalog.dataset(&description.dataset) else { return Ok(None) };
+    let archive = match (catalog.archive(record), policy) {
+        (Ok(archive), _) => archive,
+        // What cannot be read can be replaced.
+        (Err(_), Existing::Replace) => return Ok(None),
+        (Err(error), Existing::Keep) => return Err(error.into()),
+    };
+    if archive.description() == description
+        && let Some(summary) = archive.summary()
+    {
+        return Ok(Some((summary.clone(), archive.len())));
+    }
+    match policy {
+        Existing::Replace => Ok(None),
+        Existing::Keep => Err(CatalogError::Exists { name: description.dataset.clone() }.into()),
+    }
+}

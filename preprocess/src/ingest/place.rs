@@ -1,0 +1,141 @@
+//! Where a build works in its catalog, and how much memory it has there.
+
+use std::io::{self, BufWriter, Write};
+use std::sync::Arc;
+
+use areoid_formats::archive::{Description, Written, recover};
+use areoid_formats::catalog::{Build, Disk};
+use areoid_formats::page::Kind;
+use areoid_formats::storage::ByteSource as _;
+
+use super::request::{Event, IngestError, Leftover, Request, Unfinished, Watch};
+use crate::build::{self, Begun, Means, Site};
+use crate::build_error::BuildError;
+use crate::estimate::Estimate;
+use crate::feather::HALO;
+use crate::mosaic::Mosaic;
+use crate::note::Note;
+use crate::raster::Overflow;
+use crate::schedule::Schedule;
+use crate::scratch::{Aside, Scratch};
+
+/// The place of a build, what is gone on with there, and what is told of what was left.
+pub(super) type Place<'a> = (Build<'a>, Option<Begun>, Option<Leftover>);
+
+/// Opens the place of the build, and what is left there of an earlier one that can be gone on with.
+pub(super) fn begin<'a>(
+    disk: &'a dyn Disk,
+    request: &Request,
+    description: &Description,
+) -> Result<Place<'a>, IngestError> {
+    let (folder, name) = (&request.catalog, &description.dataset);
+    let mut build = Build::resume(disk, folder, name)?;
+    let source = build.source()?;
+    let left = !source.is_empty();
+    if request.unfinished == Unfinished::Discard {
+        // What cannot be read could not have been gone on with.
+        let ours = recover::is_begun(&source, description).unwrap_or(false);
+        build.cut(0)?;
+        let leftover = if ours { Leftover::Discarded } else { Leftover::Unrelated };
+        return Ok((build, None, left.then_some(leftover)));
+    }
+    let archive = recover::unfinished(&source, description)
+        .map_err(|source| IngestError::Leftover { dataset: name.clone(), source })?;
+    let unrelated = left && archive.is_none();
+    let Some(archive) = archive.filter(|archive| archive.units > 0) else {
+        build.cut(0)?;
+        return Ok((build, None, unrelated.then_some(Leftover::Unrelated)));
+    };
+    build.cut(archive.end)?;
+    let note = build.last_note()?.and_then(|note| Note::from_bytes(&note));
+    let noted = note.as_ref().map_or(0, |note| note.units).min(archive.units);
+    let leftover = Leftover::Resumed { units: archive.units, again: archive.units - noted };
+    Ok((build, Some(Begun { archive, note }), Some(leftover)))
+}
+
+/// Bytes of heads, padding and small payloads that are written together; payloads of this size go
+/// to the file without a copy.
+const WRITTEN_TOGETHER: usize = 32 << 10;
+
+/// A build's archive, written in large pieces.
+struct Buffered<'a, 'b>(BufWriter<&'a mut Build<'b>>);
+
+impl Write for Buffered<'_, '_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush()
+    }
+}
+
+impl Site for Buffered<'_, '_> {
+    fn note(&mut self, note: &[u8]) -> io::Result<()> {
+        self.0.flush()?;
+        self.0.get_mut().note(note).map_err(io::Error::other)
+    }
+}
+
+/// Builds the archive in `build`, on threads of its own.
+pub(super) fn write(
+    request: &Request,
+    description: &Description,
+    mosaic: &mut Mosaic,
+    (build, begun): (&mut Build<'_>, Option<Begun>),
+    watch: Watch<'_>,
+) -> Result<Written, IngestError> {
+    let failed = |source| IngestError::Build {
+        dataset: description.dataset.clone(),
+        source: Box::new(source),
+    };
+    let threads = rayon::ThreadPoolBuilder::new()
+        .num_threads(request.threads.unwrap_or(0))
+        .build()
+        .map_err(|error| IngestError::Threads(error.to_string()))?;
+    let named = begun.as_ref().and_then(|begun| begun.note.as_ref()).map(Note::slots);
+    let scratch = Scratch::new(build.scratch()?, &named.unwrap_or_default());
+    let scratch = scratch.map_err(|error| failed(BuildError::Scratch(error)))?;
+    let scratch = Arc::new(scratch);
+    let spare_bytes = request.memory_bytes.saturating_sub(step_bytes(description));
+    watch(Event::Measuring);
+    let pyramid = description.grid.pyramid();
+    let done = begun.as_ref().map_or(0, |begun| begun.archive.units) as f64;
+    let units = Schedule::new(pyramid, description.unit_pages, HALO).remaining().max(1) as f64;
+    let estimate = threads.install(|| {
+        let left = 1.0 - done / units;
+        Estimate::of(pyramid).measure(description, mosaic, &scratch, spare_bytes, left)
+    });
+    watch(Event::Estimated(estimate));
+    // A quarter for the rasters' blocks, which wait only where strips are wide.
+    let aside = Arc::new(Aside::new(Arc::clone(&scratch)));
+    mosaic.spill(&Arc::new(Overflow::new(aside, spare_bytes / 4)));
+    let frontier_bytes = spare_bytes - spare_bytes / 4;
+    let means = Means { scratch, frontier_bytes, note_every: request.note_every };
+    let mosaic = &*mosaic;
+    let site = Buffered(BufWriter::with_capacity(WRITTEN_TOGETHER, build));
+    let built = threads.install(|| {
+        let watch = |progress| watch(Event::Building(progress));
+        build::build(description, mosaic, site, &means, begun, watch)
+    });
+    if !matches!(built, Err(BuildError::Interrupted)) {
+        // What was made of rasters that changed is of no use, and says why they could not be read.
+        mosaic.check_unchanged()?;
+    }
+    let (site, written) = built.map_err(failed)?;
+    site.0.into_inner().map_err(|error| failed(BuildError::Write(error.into_error())))?;
+    Ok(written)
+}
+
+/// What a step of the build needs beside the pages that wait, in bytes: its leaves and those of the
+/// next unit, the pages fetched and made, and the blocks that leaves are cut from.
+fn step_bytes(description: &Description) -> u64 {
+    const EVERYTHING_ELSE: u64 = 48 << 20;
+    let side = u64::from(description.grid.pyramid().page_side());
+    let texel = match description.kind {
+        Kind::Height => 4,
+        Kind::Color | Kind::Normal => 3,
+    };
+    let unit = u64::from(description.unit_pages).pow(2) * side * side * texel;
+    5 * unit + EVERYTHING_ELSE
+}

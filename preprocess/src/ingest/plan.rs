@@ -1,0 +1,213 @@
+//! From rasters to the dataset that they make.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use areoid_formats::archive::{Archive, Description, Source, SourceFile};
+use areoid_formats::body::Body;
+use areoid_formats::catalog::{Catalog, CatalogError};
+use areoid_formats::codec::{Quantum, QuantumError};
+use areoid_formats::geodesy::LatitudeKind;
+use areoid_formats::page::Kind;
+use areoid_formats::projection::Crs;
+use xxhash_rust::xxh3::Xxh3;
+
+use super::UNIT_PAGES;
+use super::request::{Event, IngestError, Reading, Request, Watch};
+use crate::build::Proceed;
+use crate::feather::FEATHER_TEXELS;
+use crate::mosaic::{Mosaic, MosaicError};
+use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
+
+/// Opens the rasters and decides what becomes of them.
+pub(super) fn plan(
+    request: &Request,
+    catalog: Option<&Catalog>,
+    watch: Watch<'_>,
+) -> Result<(Description, Mosaic), IngestError> {
+    let catalog_body = catalog.filter(|c| !c.datasets().is_empty()).map(Catalog::body);
+    let (rasters, crs, body) = open(&request.rasters, &request.reading, catalog_body)?;
+    if let Some(catalog) = catalog_body.filter(|catalog| !catalog.same_as(&body)) {
+        let (catalog, raster) = (catalog.name.clone(), body.name);
+        return Err(CatalogError::OtherBody { catalog, raster }.into());
+    }
+    let first = rasters.first().ok_or(MosaicError::Empty)?.info().clone();
+    let kind = match (request.kind, first.bands) {
+        (Some(Kind::Normal), _) => {
+            return Err(IngestError::Request("--kind normal is not supported yet".to_owned()));
+        }
+        (Some(kind), _) => kind,
+        (None, 1 | 2) => Kind::Height,
+        (None, _) => Kind::Color,
+    };
+    let name = match &request.name {
+        Some(name) => name.clone(),
+        None => {
+            let stem = first.path.file_stem().and_then(|stem| stem.to_str());
+            stem.unwrap_or_default().to_owned()
+        }
+    };
+    let mosaic = Mosaic::new(rasters, crs, kind, request.page_side)?;
+    let files = fingerprints(&request.rasters, watch)?;
+    let reading = &request.reading;
+    let source = Source {
+        files,
+        crs: reading.crs.clone(),
+        extent: reading.extent,
+        nodata: reading.nodata.map(|nodata| nodata.to_string()),
+        body: reading.body.clone(),
+        latitudes: reading.latitudes.map(|kind| latitudes_name(kind).to_owned()),
+    };
+    let description = Description {
+        dataset: name,
+        kind,
+        body,
+        grid: mosaic.grid().clone(),
+        quantum: quantum(kind, &first, request.step_m)?,
+        priority: request.priority,
+        feather_texels: FEATHER_TEXELS,
+        unit_pages: UNIT_PAGES,
+        source,
+    };
+    Ok((description, mosaic))
+}
+
+/// The rasters of a dataset, what they are projected by, and the body they show.
+pub type Opened = (Vec<Arc<dyn Raster>>, Crs, Body);
+
+/// Opens rasters as `reading` says; `catalog` is the body of the catalog they go to or are in, if
+/// it has one.
+///
+/// # Errors
+///
+/// [`IngestError::Raster`] or [`IngestError::Request`].
+pub fn open(
+    paths: &[PathBuf],
+    reading: &Reading,
+    catalog: Option<&Body>,
+) -> Result<Opened, IngestError> {
+    let asked = match &reading.body {
+        Some(text) => Some(Body::parse(text).map_err(|e| IngestError::Request(e.to_string()))?),
+        None => None,
+    };
+    let mut options = ReadOptions {
+        crs: reading.crs.clone(),
+        extent: reading.extent,
+        nodata: reading.nodata,
+        body: asked.clone(),
+        latitudes: reading.latitudes,
+    };
+    let open_all = |options: &ReadOptions| -> Result<Vec<Arc<dyn Raster>>, RasterError> {
+        paths.iter().map(|path| raster::open(path, options).map(Arc::from)).collect()
+    };
+    let mut rasters = open_all(&options)?;
+    let crs = rasters.first().and_then(|raster| raster.info().crs);
+    if let (None, Some(catalog)) = (&asked, catalog) {
+        // What a raster says of its body gives way to the catalog's if the equators agree: a map
+        // on a sphere may well show the catalog's ellipsoid.
+        let adopt = crs.is_none_or(|crs| {
+            let (a, b) = (crs.ellipsoid.a().0, catalog.ellipsoid.a().0);
+            (a / b - 1.0).abs() <= Body::SAME_WITHIN
+        });
+        if adopt {
+            options.body = Some(catalog.clone());
+            rasters = open_all(&options)?;
+        }
+    }
+    let first = rasters.first().ok_or(MosaicError::Empty)?.info();
+    let crs = first.crs.ok_or_else(|| {
+        let path = first.path.display();
+        IngestError::Request(format!(
+            "{path} does not say which body it shows: give --body or --crs"
+        ))
+    })?;
+    let body = options.body.unwrap_or_else(|| Body::from_ellipsoid(crs.body));
+    Ok((rasters, crs, body))
+}
+
+/// The step heights are stored on.
+fn quantum(kind: Kind, info: &RasterInfo, step_m: Option<f64>) -> Result<Quantum, QuantumError> {
+    match (kind, step_m.filter(|&step| step != 0.0), info.sample) {
+        (Kind::Color | Kind::Normal, ..) | (_, None, SampleType::F32 | SampleType::F64) => {
+            Ok(Quantum::NONE)
+        }
+        (_, Some(step), _) => Quantum::new(step, 0.0),
+        (_, None, _) => Quantum::new(info.scale.abs(), info.offset),
+    }
+}
+
+/// The name of a kind of latitudes on the command line.
+#[must_use]
+pub fn latitudes_name(kind: LatitudeKind) -> &'static str {
+    match kind {
+        LatitudeKind::Planetographic => "planetographic",
+        LatitudeKind::Planetocentric => "planetocentric",
+    }
+}
+
+/// Names, lengths and contents of files.
+fn fingerprints(paths: &[PathBuf], watch: Watch<'_>) -> Result<Vec<SourceFile>, IngestError> {
+    let length = |path: &PathBuf| path.metadata().map_or(0, |data| data.len());
+    let (mut done, bytes) = (0, paths.iter().map(length).sum());
+    let mut count = |read| {
+        done += read;
+        match watch(Event::Hashing { done, bytes }) {
+            Proceed::Yes => Ok(()),
+            Proceed::No => Err(IngestError::Interrupted),
+        }
+    };
+    paths.iter().map(|path| fingerprint(path, &mut count)).collect()
+}
+
+/// A file's name, length and content; `count` is told of bytes read.
+fn fingerprint(
+    path: &Path,
+    count: &mut dyn FnMut(u64) -> Result<(), IngestError>,
+) -> Result<SourceFile, IngestError> {
+    let failed = |source: io::Error| CatalogError::io("read", path, source);
+    let mut file = File::open(path).map_err(failed)?;
+    let (mut hash, mut bytes) = (Xxh3::new(), 0);
+    let mut buffer = vec![0; 1 << 20];
+    loop {
+        let read = file.read(&mut buffer).map_err(failed)?;
+        if read == 0 {
+            break;
+        }
+        hash.update(&buffer[..read]);
+        bytes += read as u64;
+        count(read as u64)?;
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    Ok(SourceFile { name, bytes, xxh3: format!("{:032x}", hash.digest128()) })
+}
+
+/// Opens the rasters that `archive` was made from, as it was made from them.
+///
+/// # Errors
+///
+/// [`IngestError`] if they cannot be read, or do not lie on the archive's grid.
+pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Mosaic, IngestError> {
+    let description = archive.description();
+    let source = &description.source;
+    let reading = Reading {
+        crs: source.crs.clone(),
+        extent: source.extent,
+        nodata: source.nodata.as_deref().and_then(|nodata| nodata.parse().ok()),
+        body: source.body.clone(),
+        latitudes: [LatitudeKind::Planetographic, LatitudeKind::Planetocentric]
+            .into_iter()
+            .find(|&kind| source.latitudes.as_deref() == Some(latitudes_name(kind))),
+    };
+    let (rasters, crs, _) = open(paths, &reading, Some(&description.body))?;
+    let page_side = description.grid.pyramid().page_side();
+    let mosaic = Mosaic::new(rasters, crs, description.kind, page_side)?;
+    if *mosaic.grid() != description.grid {
+        let dataset = &description.dataset;
+        let reason =
+            format!("the rasters do not lie on the grid of {dataset}: was it made from them?");
+        return Err(IngestError::Request(reason));
+    }
+    Ok(mosaic)
+}

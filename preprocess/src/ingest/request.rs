@@ -1,0 +1,205 @@
+//! What an ingest is asked, what it tells, and what can go wrong.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use areoid_formats::archive::{ArchiveError, Summary};
+use areoid_formats::catalog::{CatalogError, Existing};
+use areoid_formats::codec::QuantumError;
+use areoid_formats::geodesy::LatitudeKind;
+use areoid_formats::page::Kind;
+
+use crate::build::{Proceed, Progress};
+use crate::build_error::BuildError;
+use crate::estimate::Estimate;
+use crate::mosaic::MosaicError;
+use crate::raster::RasterError;
+
+/// What to ingest, and how.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Request {
+    /// The rasters, a later one over an earlier one.
+    pub rasters: Vec<PathBuf>,
+    /// The catalog; it is made if it is not there.
+    pub catalog: PathBuf,
+    /// The dataset's name; the first raster's stem if `None`.
+    pub name: Option<String>,
+    /// What the samples are; heights of one band and colors of three or four if `None`.
+    pub kind: Option<Kind>,
+    /// The step in meters that heights are stored on; 0 or `None` is lossless.
+    pub step_m: Option<f64>,
+    /// Texels along a page's side, border included.
+    pub page_side: u32,
+    /// Higher covers lower.
+    pub priority: i32,
+    /// Threads; as many as there are cores if `None`.
+    pub threads: Option<usize>,
+    /// Whether a dataset of the same name made from something else is replaced.
+    pub existing: Existing,
+    /// What becomes of an unfinished build of this dataset.
+    pub unfinished: Unfinished,
+    /// Memory to use, in bytes: what exceeds it goes to a file beside the archive. Two work units
+    /// and their parents must fit, whatever it is.
+    pub memory_bytes: u64,
+    /// How much work an unfinished build may lose.
+    pub note_every: Duration,
+    /// How the rasters are read.
+    pub reading: Reading,
+}
+
+/// What becomes of a build that did not come to its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unfinished {
+    /// It is discarded.
+    Discard,
+    /// It is gone on with, if it is one of the same input with the same options.
+    Resume,
+}
+
+/// The options that say how a raster is read, as they were given.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Reading {
+    /// `EPSG:n`, a PROJ string, WKT, or a file with one of them.
+    pub crs: Option<String>,
+    /// West, south, east, north in map units.
+    pub extent: Option<[f64; 4]>,
+    /// The sample that stands for no data.
+    pub nodata: Option<f64>,
+    /// The body's name or radii.
+    pub body: Option<String>,
+    /// What latitudes mean.
+    pub latitudes: Option<LatitudeKind>,
+}
+
+/// What an ingest tells of itself, in this order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Event {
+    /// It begins to read what the rasters are.
+    Opening,
+    /// It hashes the input.
+    Hashing {
+        /// Bytes hashed.
+        done: u64,
+        /// Bytes of all files.
+        bytes: u64,
+    },
+    /// A build was left that did not come to its end.
+    Leftover(Leftover),
+    /// It begins to measure a few leaves, if there are many.
+    Measuring,
+    /// It begins to build.
+    Estimated(Estimate),
+    /// It has done a work unit.
+    Building(Progress),
+    /// It begins to make durable and public what it built.
+    Publishing,
+}
+
+/// What becomes of a build that was left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Leftover {
+    /// It is one of the same input with the same options, and gone on with.
+    Resumed {
+        /// Its work units.
+        units: u64,
+        /// Those that are done again, without being written.
+        again: u64,
+    },
+    /// It could have been gone on with, but was to be discarded.
+    Discarded,
+    /// It is one of another input, or with other options: discarded.
+    Unrelated,
+}
+
+/// What an ingest did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// The dataset's name.
+    pub dataset: String,
+    /// Whether it was there already, made from the same input with the same options.
+    pub already_there: bool,
+    /// The generation of the catalog that has it.
+    pub generation: u64,
+    /// What its archive says of its levels.
+    pub summary: Summary,
+    /// Length of its archive in bytes.
+    pub bytes: u64,
+    /// Pixels read.
+    pub pixels: u64,
+    /// Blocks of the rasters that were decoded, without those of the estimate.
+    pub decoded_blocks: u64,
+    /// What was expected; `None` if there was nothing to do.
+    pub estimate: Option<Estimate>,
+    /// Work units that an earlier process had done.
+    pub resumed_units: u64,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
+
+/// An ingest that did not come to its end. The catalog is as it was.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum IngestError {
+    /// A raster cannot be read.
+    #[error(transparent)]
+    Raster(Box<RasterError>),
+    /// The rasters make no dataset.
+    #[error(transparent)]
+    Mosaic(Box<MosaicError>),
+    /// The catalog refuses.
+    #[error(transparent)]
+    Catalog(Box<CatalogError>),
+    /// The archive cannot be built.
+    #[error("cannot build {dataset}")]
+    Build {
+        /// The dataset.
+        dataset: String,
+        /// Why.
+        source: Box<BuildError>,
+    },
+    /// What is left of an earlier build cannot be read.
+    #[error("cannot read what is left of an unfinished build of {dataset}")]
+    Leftover {
+        /// The dataset.
+        dataset: String,
+        /// Why.
+        source: ArchiveError,
+    },
+    /// A step that heights cannot be stored on.
+    #[error(transparent)]
+    Step(#[from] QuantumError),
+    /// A request that makes no sense.
+    #[error("{0}")]
+    Request(String),
+    /// The caller asked to stop before the build began.
+    #[error("interrupted before the build began")]
+    Interrupted,
+    /// The threads cannot be started.
+    #[error("cannot start the threads: {0}")]
+    Threads(String),
+}
+
+impl IngestError {
+    /// Whether the ingest left a build that can be gone on with, if it came past its first unit.
+    #[must_use]
+    pub fn can_be_resumed(&self) -> bool {
+        matches!(self, Self::Build { source, .. } if source.can_be_resumed())
+    }
+}
+
+/// Boxed, because these errors are many times larger than what they are returned beside.
+macro_rules! boxed {
+    ($($error:ident: $variant:ident),*) => {$(
+        impl From<$error> for IngestError {
+            fn from(error: $error) -> Self {
+                Self::$variant(Box::new(error))
+            }
+        }
+    )*};
+}
+boxed!(RasterError: Raster, MosaicError: Mosaic, CatalogError: Catalog);
+
+/// Who is told of events and asked whether to go on. Only while hashing and after a work unit is
+/// the answer heeded.
+pub(super) type Watch<'a> = &'a mut (dyn FnMut(Event) -> Proceed + Send);
