@@ -263,7 +263,13 @@ fn a_full_disk_is_an_error_and_changes_nothing() {
     let text: Vec<String> = causes.map(ToString::to_string).collect();
     assert!(text.join(": ").contains("no space left"), "{text:?}");
     assert_eq!(bench.catalog(), before);
-    assert!(Path::new(&bench.path("catalog/build")).read_dir().unwrap().next().is_none());
+    assert!(error.can_be_resumed(), "what was built is not lost");
+
+    let unfinished = areoid_preprocess::ingest::Unfinished::Resume;
+    let request = areoid_preprocess::ingest::Request { unfinished, ..request };
+    let disk = areoid_formats::catalog::RealDisk;
+    let made = areoid_preprocess::ingest::ingest(&disk, &request, proceed).unwrap();
+    assert_eq!((made.dataset.as_str(), made.already_there), ("second", false));
 }
 
 /// The file system with room for so many bytes more.
