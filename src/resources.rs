@@ -87,6 +87,7 @@ pub(crate) fn free_bytes(folder: &Path) -> Option<u64> {
     let there = folder.ancestors().find(|folder| folder.is_dir());
     let there = there.filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let said = nix::sys::statvfs::statvfs(there).ok()?;
+    #[allow(clippy::useless_conversion, reason = "narrower on some systems")]
     let (blocks, size): (u64, u64) = (said.blocks_available().into(), said.fragment_size().into());
     blocks.checked_mul(size)
 }

@@ -23,7 +23,6 @@ use areoid_formats::address::PageAddress;
 use areoid_formats::archive::Description;
 use areoid_formats::grid::{Grid, Outline};
 use areoid_formats::pyramid::Pyramid;
-use rayon::prelude::*;
 
 use crate::build::{self, Leaves, Means, Proceed};
 use crate::mosaic::Mosaic;
@@ -93,7 +92,11 @@ impl Estimate {
         }
         let largest = (self.texels / SHARE).min(memory_bytes / 4);
         let sample = Sample::choose(description, mosaic, largest);
-        let measured = sample.and_then(|sample| sample.measure(mosaic, scratch));
+        // A few leaves keep a few threads busy badly, and one well.
+        let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().ok();
+        let measured = sample
+            .zip(alone)
+            .and_then(|(sample, alone)| alone.install(|| sample.measure(mosaic, scratch)));
         Self { measured: measured.map(|figures| figures.scaled(self, mosaic, left)), ..self }
     }
 }
@@ -105,7 +108,7 @@ struct Sample {
     description: Description,
 }
 
-/// What was seen.
+/// What was seen, on one thread.
 struct Figures {
     decoded_blocks: u64,
     reading_s: f64,
@@ -153,17 +156,15 @@ impl Sample {
     fn measure(&self, mosaic: &Mosaic, scratch: &Arc<Scratch>) -> Option<Figures> {
         let apart = mosaic.apart();
         let start = Instant::now();
-        let read = self.leaves.par_iter().map(|&leaf| apart.read(leaf));
+        let read = self.leaves.iter().map(|&leaf| apart.read(leaf));
         let raws = read.collect::<Result<Vec<_>, RasterError>>().ok()?;
         let reading_s = start.elapsed().as_secs_f64();
         let decoded_blocks = apart.decoded_blocks();
         let leaves = SideBySide { raws, may_have_holes: apart.may_have_holes() };
         drop(apart);
 
-        // The first time memory and threads are cold, which does not last.
-        let (first_s, _) = self.build(&leaves, scratch)?;
-        let (second_s, bytes) = self.build(&leaves, scratch)?;
-        Some(Figures { decoded_blocks, reading_s, building_s: first_s.min(second_s), bytes })
+        let (building_s, bytes) = self.build(&leaves, scratch)?;
+        Some(Figures { decoded_blocks, reading_s, building_s, bytes })
     }
 
     /// Seconds and bytes of the archive.
@@ -180,10 +181,7 @@ impl Sample {
 
 impl Figures {
     fn scaled(&self, all: Estimate, mosaic: &Mosaic, left: f64) -> Measured {
-        // With more threads than leaves some had nothing to do.
-        let leaves = f64::from(LEAVES);
         let threads = rayon::current_num_threads() as f64;
-        let busy = leaves / threads / (leaves / threads).ceil();
         let blocks = mosaic.blocks() as f64 / self.decoded_blocks.max(1) as f64;
         let texels = f64::from(LEAVES) * f64::from(mosaic.grid().pyramid().interior()).powi(2);
         // Levels above the leaves have a quarter of them here, a third in all.
@@ -192,7 +190,7 @@ impl Figures {
         let seconds = self.reading_s * blocks + building_s;
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a length")]
         let bytes = (self.bytes as f64 * above * all.texels as f64 / texels) as u64;
-        Measured { bytes, seconds: left * busy * seconds, decoded_blocks: self.decoded_blocks }
+        Measured { bytes, seconds: left * seconds / threads, decoded_blocks: self.decoded_blocks }
     }
 }
 

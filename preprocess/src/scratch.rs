@@ -272,7 +272,8 @@ mod tests {
             steps in prop::collection::vec((0..4_u8, 0..3 * 4096_usize, any::<u8>()), 1..60)
         ) {
             let scratch = scratch();
-            let (mut live, mut named): (Vec<(Slot, Vec<u8>)>, Vec<(Slot, Vec<u8>)>) =
+            type Stored = Vec<(Slot, Vec<u8>)>;
+            let (mut live, mut named): (Stored, Stored) =
                 (Vec::new(), Vec::new());
             for (what, size, byte) in steps {
                 match what {
