@@ -198,12 +198,11 @@ impl<S: Texel> Frontier<S> {
 
     fn save(&mut self, pages: &[PageAddress]) -> io::Result<()> {
         let unsaved = |&page: &PageAddress| match self.pages.get(&page) {
-            Some(Place::Here { kept, saved: None, .. }) => Some((page, kept)),
+            Some(Place::Here { kept, saved: None, .. }) => Some((page, &**kept)),
             _ => None,
         };
         let unsaved: Vec<_> = pages.iter().filter_map(unsaved).collect();
-        let write =
-            |(page, kept): &(PageAddress, &Box<Kept<S>>)| Ok((*page, kept.save(&self.scratch)?));
+        let write = |(page, kept): &(PageAddress, &Kept<S>)| Ok((*page, kept.save(&self.scratch)?));
         let slots: Vec<(PageAddress, Slot)> =
             unsaved.par_iter().map(write).collect::<io::Result<_>>()?;
         for (page, slot) in slots {

@@ -28,7 +28,6 @@ enum End {
 }
 
 /// Runs an ingest and kills it at a random instant of `duration`.
-#[expect(clippy::disallowed_methods, reason = "an instant is what this draws")]
 fn kill(
     random: &mut Random,
     subject: &Subject,

@@ -127,8 +127,7 @@ pub fn unfinished(
 /// Whether nothing but zeros stands in `range`, which lies in the file and is shorter than
 /// [`ALIGNMENT`].
 fn is_padding(source: &dyn ByteSource, range: Range<u64>) -> Result<bool, ArchiveError> {
-    let mut bytes = Vec::new();
-    bytes.resize(usize::try_from(range.end - range.start).unwrap_or(0), 0);
+    let mut bytes = vec![0; usize::try_from(range.end - range.start).unwrap_or(0)];
     read(source, &mut bytes, range.start)?;
     Ok(bytes.iter().all(|&byte| byte == 0))
 }
