@@ -89,7 +89,7 @@ impl Raster {
         let leaves = RasterLeaves { raster: self, interior: page_side as usize - 2 };
         // Without any memory for them, pages go through the scratch file.
         let scratch = Scratch::new(tempfile::tempfile().unwrap(), &[]).unwrap();
-        let frontier_bytes = if self.shape.width % 2 == 0 { 0 } else { 1 << 30 };
+        let frontier_bytes = if self.shape.width.is_multiple_of(2) { 0 } else { 1 << 30 };
         let note_every = Duration::from_secs(3600);
         let means = Means { scratch: Arc::new(scratch), frontier_bytes, note_every };
         let (bytes, _) =
