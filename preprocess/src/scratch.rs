@@ -272,8 +272,8 @@ mod tests {
             steps in prop::collection::vec((0..4_u8, 0..3 * 4096_usize, any::<u8>()), 1..60)
         ) {
             let scratch = scratch();
-            let (mut live, mut named): (Vec<(Slot, Vec<u8>)>, Vec<(Slot, Vec<u8>)>) =
-                (Vec::new(), Vec::new());
+            let mut live: Vec<(Slot, Vec<u8>)> = Vec::new();
+            let mut named = Vec::new();
             for (what, size, byte) in steps {
                 match what {
                     0 | 1 => {
