@@ -15,7 +15,7 @@
 
 #![cfg(unix)]
 #![expect(clippy::unwrap_used, reason = "a failed test may panic")]
-#![expect(clippy::print_stdout, reason = "how often something happened is shown with --nocapture")]
+#![expect(clippy::print_stdout, reason = "figures, for whoever asks for them")]
 #![expect(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
