@@ -236,6 +236,7 @@ fn build_of<S: Texel, W: Site + Send>(
             return Err(BuildError::Interrupted);
         }
     }
+    debug_assert!(shop.is_done(), "every page is forgotten after its last use");
     if writer.is_empty() {
         return Err(BuildError::NoData);
     }

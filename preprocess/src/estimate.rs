@@ -31,7 +31,7 @@ use crate::scratch::Scratch;
 use crate::tile::Raw;
 
 /// Rasters of fewer pixels are done before anyone asks.
-pub const WORTH_MEASURING_PX: u64 = 64 << 20;
+pub const WORTH_MEASURING_PX: u64 = 256 << 20;
 
 /// Leaves measured.
 const LEAVES: u32 = 6;

@@ -64,6 +64,12 @@ impl<S: Texel> Frontier<S> {
         self.bytes_here = 0;
     }
 
+    /// Whether no page is held.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.pages.is_empty()
+    }
+
     /// Takes a page in.
     pub fn insert(&mut self, page: PageAddress, kept: Kept<S>) {
         self.bytes_here += kept.bytes();

@@ -162,6 +162,14 @@ impl<'a, S: Texel> Shop<'a, S> {
         self.frontier.shrink(&soon).map_err(BuildError::Scratch)
     }
 
+    /// Whether nothing is under construction any more.
+    pub(crate) fn is_done(&self) -> bool {
+        self.frontier.is_empty()
+            && self.validity.is_empty()
+            && self.entries.is_empty()
+            && self.half_done.is_empty()
+    }
+
     fn pyramid(&self) -> &'a Pyramid {
         self.description.grid.pyramid()
     }
