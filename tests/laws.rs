@@ -7,7 +7,6 @@
     reason = "made-up rasters are small, and their values are chosen"
 )]
 
-#[expect(dead_code, reason = "some of it is for other tests")]
 mod support;
 
 mod laws {
