@@ -110,7 +110,7 @@ pub(crate) struct Args {
     resume: bool,
 
     /// Threads [default: one a core].
-    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
 
     /// Replace a dataset of this name that was made from something else.
@@ -209,7 +209,7 @@ impl Args {
             threads: self.threads.map(usize::from),
             existing: if self.force { Existing::Replace } else { Existing::Keep },
             unfinished: if self.resume { Unfinished::Resume } else { Unfinished::Discard },
-            memory_bytes: self.memory_mib << 20,
+            memory_bytes: self.memory_mib.saturating_mul(1 << 20),
             note_every: Duration::from_secs_f64(self.note_every_s),
             reading: Reading {
                 crs: self.crs,
