@@ -256,23 +256,26 @@ fn a_full_disk_is_an_error_and_changes_nothing() {
         note_every: std::time::Duration::from_secs(60),
         reading: areoid_preprocess::ingest::Reading::default(),
     };
-    let disk = FullDisk { room: std::sync::atomic::AtomicUsize::new(600_000) };
     let proceed = |_| areoid_preprocess::build::Proceed::Yes;
+    let real = areoid_formats::catalog::RealDisk;
+    let elsewhere =
+        areoid_preprocess::ingest::Request { catalog: bench.path("elsewhere"), ..request.clone() };
+    let whole = areoid_preprocess::ingest::ingest(&real, &elsewhere, proceed).unwrap();
+    let room = usize::try_from(whole.bytes).unwrap() * 3 / 4;
+    let disk = FullDisk { room: std::sync::atomic::AtomicUsize::new(room) };
     let error = areoid_preprocess::ingest::ingest(&disk, &request, proceed).unwrap_err();
     let causes = std::iter::successors(Some(&error as &dyn std::error::Error), |e| e.source());
     let text: Vec<String> = causes.map(ToString::to_string).collect();
     assert!(text.join(": ").contains("no space left"), "{text:?}");
     assert_eq!(bench.catalog(), before);
-    assert!(error.can_be_resumed());
 
-    // With room, the same ingest goes on where the disk was full.
+    // With room, the same ingest comes to its end.
     let request = areoid_preprocess::ingest::Request {
         unfinished: areoid_preprocess::ingest::Unfinished::Resume,
         ..request
     };
-    let disk = areoid_formats::catalog::RealDisk;
-    let outcome = areoid_preprocess::ingest::ingest(&disk, &request, proceed).unwrap();
-    assert!(outcome.resumed_units > 0);
+    let outcome = areoid_preprocess::ingest::ingest(&real, &request, proceed).unwrap();
+    assert_eq!((outcome.bytes, outcome.summary), (whole.bytes, whole.summary));
     assert!(Path::new(&bench.path("catalog/build")).read_dir().unwrap().next().is_none());
 }
 

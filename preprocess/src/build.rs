@@ -30,7 +30,7 @@ use crate::scratch::Scratch;
 use crate::shop::{Shop, SourceTraits};
 use crate::texel::Texel;
 use crate::tile::Raw;
-use crate::whole::Payloads;
+use crate::whole::{Heights, Payloads};
 
 /// Where leaves come from.
 ///
@@ -169,7 +169,7 @@ fn build_of<S: Texel, W: Site + Send>(
     let meters = description.quantum == (Quantum { step: 1.0, offset: 0.0 });
     let source = SourceTraits {
         spans: if leaves.may_have_holes() { Spans::Kept } else { Spans::Unneeded },
-        is_on_step: meters && leaves.is_whole(),
+        heights: if meters && leaves.is_whole() { Heights::Whole } else { Heights::Any },
     };
     let scratch = Arc::clone(&means.scratch);
     let mut shop = Shop::<S>::new(description, source, scratch, means.frontier_bytes);
@@ -215,7 +215,7 @@ fn build_of<S: Texel, W: Site + Send>(
         progress.leaves += step.read.len() as u64;
         progress.texels += texels(description, &step);
         let (done, ahead) = rayon::join(
-            || take(&mut shop, &step, next.as_ref(), raws, &mut writer, progress.units_done),
+            || take(&mut shop, &step, raws, &mut writer, progress.units_done),
             || read(leaves, next.as_ref()),
         );
         done?;
@@ -247,15 +247,14 @@ fn build_of<S: Texel, W: Site + Send>(
 fn take<S: Texel>(
     shop: &mut Shop<'_, S>,
     step: &Step,
-    soon: Option<&Step>,
     raws: Vec<(PageAddress, Option<Raw>)>,
     writer: &mut ArchiveWriter<impl Write>,
     unit: usize,
 ) -> Result<(), BuildError> {
     if (unit as u64) < writer.units() {
-        return shop.take(step, soon, raws, Payloads::Unneeded, |_| Ok(()));
+        return shop.take(step, raws, Payloads::Unneeded, |_| Ok(()));
     }
-    shop.take(step, soon, raws, Payloads::Made, |(page, whole)| match whole {
+    shop.take(step, raws, Payloads::Made, |(page, whole)| match whole {
         Some((entry, payload)) => writer.page(entry, &payload).map_err(BuildError::Write),
         None => {
             writer.empty(page);

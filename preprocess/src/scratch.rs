@@ -71,7 +71,12 @@ impl Scratch {
         let mut room = Room::default();
         let mut slots = named.to_vec();
         slots.sort_unstable_by_key(|slot| slot.offset);
+        let stored = file.metadata()?.len();
         for slot in slots {
+            // What no file has room for is refused when it is asked for.
+            if slot.offset.checked_add(slot.length).is_none_or(|end| end > stored) {
+                continue;
+            }
             if slot.offset > room.end {
                 room.free.insert(room.end, slot.offset);
             }
@@ -114,6 +119,13 @@ impl Scratch {
     ///
     /// Those of the file system; [`io::ErrorKind::InvalidData`] if the bytes are others.
     pub fn get(&self, slot: Slot) -> io::Result<Vec<u8>> {
+        let end = slot.offset.checked_add(slot.length);
+        if end.is_none_or(|end| end > self.room().end) {
+            return Err(io::Error::new(
+                io::ErrorKind::InvalidData,
+                "a slot past the scratch file's end",
+            ));
+        }
         let length = usize::try_from(slot.length)
             .map_err(|_| io::Error::other("a slot larger than the address space"))?;
         let mut bytes = vec![0; length];

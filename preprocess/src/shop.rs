@@ -26,15 +26,15 @@ use crate::schedule::Step;
 use crate::scratch::{Scratch, Slot};
 use crate::texel::Texel;
 use crate::tile::{Border, Raw, Tile};
-use crate::whole::{self, Payloads, Whole, WholeChild};
+use crate::whole::{self, Heights, Payloads, Whole, WholeChild};
 
 /// What need not be done for the leaves of a source.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SourceTraits {
     /// Whether finest texels are kept for bounds beside holes.
     pub(crate) spans: Spans,
-    /// Whether every leaf is on the dataset's step as it is read.
-    pub(crate) is_on_step: bool,
+    /// Whether every leaf is on the dataset's step, of whole meters, as it is read.
+    pub(crate) heights: Heights,
 }
 
 /// What is under construction.
@@ -79,17 +79,29 @@ impl<'a, S: Texel> Shop<'a, S> {
     /// Goes back to where `note` was written; false, and unchanged, if the scratch file is not the
     /// one it speaks of.
     pub(crate) fn restore(&mut self, note: &Note) -> bool {
-        let bits = |slot: Slot| -> Option<Vec<u64>> {
-            Some(bytemuck::pod_collect_to_vec(&self.scratch.get(slot).ok()?))
-        };
-        let mut validity = HashMap::new();
+        let pyramid = self.pyramid();
+        let leaves = note.validity.iter().map(|(leaf, _)| leaf);
+        let pages = note.pages.iter().map(|(page, _)| page).chain(&note.half_done).chain(leaves);
+        if !pages
+            .chain(note.entries.iter().map(|entry| &entry.page))
+            .all(|&page| pyramid.contains(page))
+        {
+            return false;
+        }
+        let (mut validity, mut noted_bits) = (HashMap::new(), Vec::new());
         for &(page, noted) in &note.validity {
             let known = match noted {
                 NotedValidity::Empty => Validity::Empty,
                 NotedValidity::Full => Validity::Full,
                 NotedValidity::Mixed { cols, bits: slot } => {
-                    let Some(bits) = bits(slot) else { return false };
-                    self.noted_bits.push(slot);
+                    let Ok(bytes) = self.scratch.get(slot) else { return false };
+                    let bits: Vec<u64> = bytemuck::pod_collect_to_vec(&bytes);
+                    let size = pyramid.interior_size(page);
+                    let texels = size.0 as usize * size.1 as usize;
+                    if cols != size.1 as usize || bits.len() != texels.div_ceil(64) {
+                        return false;
+                    }
+                    noted_bits.push(slot);
                     Validity::Mixed { cols, bits }
                 }
             };
@@ -98,6 +110,7 @@ impl<'a, S: Texel> Shop<'a, S> {
         if note.pages.iter().any(|&(_, slot)| self.scratch.get(slot).is_err()) {
             return false;
         }
+        self.noted_bits = noted_bits;
         self.validity = validity;
         self.frontier.restore(&note.pages);
         self.entries = note.entries.iter().map(|entry| (entry.page, *entry)).collect();
@@ -127,27 +140,35 @@ impl<'a, S: Texel> Shop<'a, S> {
         before.into_iter().for_each(|slot| self.scratch.free(slot));
     }
 
-    /// Does a step; `soon` is the one after it. `give` gets the pages that became whole, in order.
+    /// Does a step. `give` gets the pages that became whole, in order.
     pub(crate) fn take(
         &mut self,
         step: &Step,
-        soon: Option<&Step>,
         raws: Vec<(PageAddress, Option<Raw>)>,
         payloads: Payloads,
         mut give: impl FnMut(Finished) -> Result<(), BuildError>,
     ) -> Result<(), BuildError> {
         self.take_in(raws);
-        self.frontier.fetch(&self.looked_at(step)).map_err(BuildError::Scratch)?;
+        // A few pages at a time, so that what they look at is here and not much else.
+        let together = 4 * rayon::current_num_threads();
         for level in step.settled.chunk_by(|one, other| one.level == other.level) {
-            if level[0].level == self.pyramid().finest() {
-                self.settle_leaves(level)?;
-            } else {
-                self.settle_parents(level);
+            for pages in level.chunks(together) {
+                self.fetch(pages, &[])?;
+                if pages[0].level == self.pyramid().finest() {
+                    self.settle_leaves(pages)?;
+                } else {
+                    self.settle_parents(pages);
+                }
+                self.frontier.shrink(&HashSet::new()).map_err(BuildError::Scratch)?;
             }
         }
         for level in step.whole.chunk_by(|one, other| one.level == other.level) {
-            for finished in self.finish_pages(level, payloads)? {
-                give(finished)?;
+            for pages in level.chunks(together) {
+                self.fetch(&[], pages)?;
+                for finished in self.finish_pages(pages, payloads)? {
+                    give(finished)?;
+                }
+                self.frontier.shrink(&HashSet::new()).map_err(BuildError::Scratch)?;
             }
         }
         for page in &step.forget_read {
@@ -158,8 +179,7 @@ impl<'a, S: Texel> Shop<'a, S> {
             self.use_is_over(page);
         }
         step.forget_settled.iter().for_each(|&page| self.use_is_over(page));
-        let soon = soon.map(|step| self.looked_at(step)).unwrap_or_default();
-        self.frontier.shrink(&soon).map_err(BuildError::Scratch)
+        Ok(())
     }
 
     /// Whether nothing is under construction any more.
@@ -174,17 +194,17 @@ impl<'a, S: Texel> Shop<'a, S> {
         self.description.grid.pyramid()
     }
 
-    /// The pages whose texels a step looks at.
-    fn looked_at(&self, step: &Step) -> HashSet<PageAddress> {
+    /// Brings the pages here that are looked at when `settled` are settled and `whole` finished.
+    fn fetch(&mut self, settled: &[PageAddress], whole: &[PageAddress]) -> Result<(), BuildError> {
         let pyramid = self.pyramid();
-        let mut pages: HashSet<PageAddress> = step.settled.iter().copied().collect();
-        for &page in step.settled.iter().chain(&step.whole) {
+        let mut pages: HashSet<PageAddress> = settled.iter().copied().collect();
+        for &page in settled.iter().chain(whole) {
             pages.extend(pyramid.children(page));
         }
-        for &page in &step.whole {
+        for &page in whole {
             pages.extend(pyramid.sources(page, Pyramid::BORDER));
         }
-        pages
+        self.frontier.fetch(&pages).map_err(BuildError::Scratch)
     }
 
     fn use_is_over(&mut self, page: PageAddress) {
@@ -249,7 +269,7 @@ impl<'a, S: Texel> Shop<'a, S> {
             let validity = |leaf| &shop.validity[&leaf];
             *coverage = feather::coverage(shop.pyramid(), page, coverage.as_deref(), validity);
             let quantum = shop.description.quantum;
-            if !shop.source.is_on_step {
+            if shop.source.heights == Heights::Any {
                 let settled = S::to_step(planes, quantum);
                 *original = settled.ok_or(BuildError::Step { page, step: quantum.step })?;
             }
@@ -336,7 +356,7 @@ impl<'a, S: Texel> Shop<'a, S> {
                 Some(WholeChild { row, col, tile, cells: cells.as_deref(), entry })
             })
             .collect();
-        whole::finish(self.description, page, tile, &children, payloads)
+        whole::finish(self.description, page, tile, &children, self.source.heights, payloads)
             .map_err(|source| BuildError::Encode { page, source })
     }
 }

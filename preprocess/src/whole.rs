@@ -6,7 +6,7 @@ use std::ops::Range;
 use areoid_formats::address::PageAddress;
 use areoid_formats::archive::{Description, PageEntry, Payload};
 use areoid_formats::bound::{self, Cells, Child, Magnitude, Span};
-use areoid_formats::codec::{EncodeError, Quantum, Scratch};
+use areoid_formats::codec::{EncodeError, Scratch};
 use areoid_formats::lanes::{self, greatest, least};
 
 use crate::texel::Texel;
@@ -40,6 +40,15 @@ pub struct WholeChild<'a, S: Texel> {
     pub entry: &'a PageEntry,
 }
 
+/// What is known of all heights beforehand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Heights {
+    /// They are whole meters below 2^22 and stored as they are, so that intervals are sixteenths.
+    Whole,
+    /// Nothing.
+    Any,
+}
+
 /// Whether pages are encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Payloads {
@@ -59,6 +68,7 @@ pub fn finish<S: Texel>(
     page: PageAddress,
     tile: &Tile<S>,
     children: &[WholeChild<'_, S>],
+    heights: Heights,
     payloads: Payloads,
 ) -> Result<Whole<S>, EncodeError> {
     let finest = page.level == description.grid.pyramid().finest();
@@ -72,7 +82,11 @@ pub fn finish<S: Texel>(
         leaf_cells(tile)
     } else {
         let ranges = children.iter().map(|child| child.tile.range).fold(range, union);
-        Some(parent_cells(description, page, tile, children, ranges))
+        let texels = Magnitude {
+            largest: in_meters(ranges.0).abs().max(in_meters(ranges.1).abs()),
+            whole: heights == Heights::Whole,
+        };
+        Some(parent_cells(description, page, tile, children, texels))
     };
     let own_bound = cells.iter().flatten().map(Cells::bound::<S>).fold(0.0, f32::max);
     let figures = Figures::of(tile, children, (interior, range));
@@ -109,13 +123,8 @@ fn parent_cells<S: Texel>(
     page: PageAddress,
     tile: &Tile<S>,
     children: &[WholeChild<'_, S>],
-    (least, greatest): (S, S),
+    texels: Magnitude,
 ) -> Vec<Cells<S::Cell>> {
-    let Quantum { step, offset } = description.quantum;
-    let texels = Magnitude {
-        largest: in_meters(least).abs().max(in_meters(greatest).abs()),
-        whole: step > 0.0 && step.fract() == 0.0 && offset.fract() == 0.0,
-    };
     let children_are_leaves = page.level.finer() == description.grid.pyramid().finest();
     (0..S::CHANNELS)
         .map(|channel| {

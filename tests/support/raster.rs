@@ -132,6 +132,15 @@ struct RasterLeaves<'a> {
 }
 
 impl Leaves for RasterLeaves<'_> {
+    fn is_whole(&self) -> bool {
+        let negative_zero = (-0.0_f32).to_bits();
+        let whole = |t: &f32| {
+            let whole = t.trunc() == *t && t.abs() < 4e6 && t.to_bits() != negative_zero;
+            whole || t.is_nan()
+        };
+        self.raster.planes.iter().flatten().all(whole)
+    }
+
     fn read(&self, page: PageAddress) -> Result<Option<Raw>, RasterError> {
         let Shape { width, height, .. } = self.raster.shape;
         let (top, left) = (page.row as usize * self.interior, page.col as usize * self.interior);

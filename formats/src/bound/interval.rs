@@ -209,7 +209,7 @@ const LARGEST: f32 = 131_072.0;
 pub struct Magnitude {
     /// No texel is farther from zero.
     pub largest: f32,
-    /// Whether all are whole numbers.
+    /// Whether all are whole numbers, and what is known of the children whole sixteenths.
     pub whole: bool,
 }
 

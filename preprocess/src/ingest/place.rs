@@ -9,7 +9,7 @@ use areoid_formats::page::Kind;
 use areoid_formats::storage::ByteSource as _;
 
 use super::request::{Event, IngestError, Leftover, Request, Unfinished, Watch};
-use crate::build::{self, Begun, Means, Site};
+use crate::build::{self, Begun, Leaves as _, Means, Site};
 use crate::build_error::BuildError;
 use crate::estimate::Estimate;
 use crate::feather::HALO;
@@ -97,7 +97,7 @@ pub(super) fn write(
     let scratch = Scratch::new(build.scratch()?, &named.unwrap_or_default());
     let scratch = scratch.map_err(|error| failed(BuildError::Scratch(error)))?;
     let scratch = Arc::new(scratch);
-    let spare_bytes = request.memory_bytes.saturating_sub(step_bytes(description));
+    let spare_bytes = request.memory_bytes.saturating_sub(step_bytes(description, mosaic));
     watch(Event::Measuring);
     let pyramid = description.grid.pyramid();
     let done = begun.as_ref().map_or(0, |begun| begun.archive.units) as f64;
@@ -128,8 +128,9 @@ pub(super) fn write(
 }
 
 /// What a step of the build needs beside the pages that wait, in bytes: its leaves and those of the
-/// next unit, the pages fetched and made, and the blocks that leaves are cut from.
-fn step_bytes(description: &Description) -> u64 {
+/// next unit, the pages fetched and made, with their finest texels where there may be holes, and the
+/// blocks that leaves are cut from.
+fn step_bytes(description: &Description, mosaic: &Mosaic) -> u64 {
     const EVERYTHING_ELSE: u64 = 48 << 20;
     let side = u64::from(description.grid.pyramid().page_side());
     let texel = match description.kind {
@@ -137,5 +138,6 @@ fn step_bytes(description: &Description) -> u64 {
         Kind::Color | Kind::Normal => 3,
     };
     let unit = u64::from(description.unit_pages).pow(2) * side * side * texel;
-    5 * unit + EVERYTHING_ELSE
+    let units = if mosaic.may_have_holes() { 7 } else { 5 };
+    units * unit + EVERYTHING_ELSE
 }
