@@ -8,7 +8,7 @@
 use areoid_formats::codec::{
     DecodeError, EncodeError, Quantum, Scratch, decode_color_planes_into, decode_colors,
     decode_heights, decode_heights_into, encode_color_planes_into, encode_colors, encode_heights,
-    encode_heights_into,
+    encode_heights_into, encode_whole_heights_into,
 };
 use proptest::prelude::*;
 
@@ -93,6 +93,27 @@ proptest! {
             })
             .collect();
         check_heights(texels, coverage, side, quantum);
+    }
+
+    /// Whatever stands under the holes.
+    #[test]
+    fn whole_heights_have_the_payload_of_floats(
+        seed: u64, side in prop::sample::select(&SIDES[..]), pattern in 0_u8..9,
+        least: i16, range in 1_u64..65536,
+    ) {
+        let noise = &mut Noise(seed);
+        let coverage = coverage(pattern, side, noise);
+        let heights: Vec<i16> = (0..side * side)
+            .map(|_| (i64::from(least) + (noise.next() % range) as i64).min(i16::MAX.into()) as i16)
+            .collect();
+        let mut texels: Vec<f32> = heights.iter().map(|&height| height.into()).collect();
+        punch(&mut texels, coverage.as_deref());
+        let meters = Quantum::new(1.0, 0.0).unwrap();
+        let expected = encode_heights(&texels, coverage.as_deref(), side, meters).unwrap();
+        let (scratch, mut payload) = (&mut Scratch::default(), vec![7]);
+        encode_whole_heights_into(&heights, coverage.as_deref(), side, scratch, &mut payload)
+            .unwrap();
+        prop_assert_eq!(payload, expected);
     }
 
     #[test]

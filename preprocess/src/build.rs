@@ -27,10 +27,10 @@ use crate::note::Note;
 use crate::raster::RasterError;
 use crate::schedule::{Schedule, Step};
 use crate::scratch::Scratch;
-use crate::shop::{Shop, SourceTraits};
+use crate::shop::Shop;
 use crate::texel::Texel;
 use crate::tile::Raw;
-use crate::whole::{Heights, Payloads};
+use crate::whole::Payloads;
 
 /// Where leaves come from.
 ///
@@ -54,7 +54,7 @@ pub trait Leaves: Sync {
         true
     }
 
-    /// Whether every height is known to be a whole number of meters, below 2^22.
+    /// Whether heights come as whole meters, [`crate::texel::Planes::WholeHeight`].
     fn is_whole(&self) -> bool {
         false
     }
@@ -148,7 +148,11 @@ pub fn build<W: Site + Send>(
     begun: Option<Begun>,
     watch: impl FnMut(Progress) -> Proceed + Send,
 ) -> Result<(W, Written), BuildError> {
+    let meters = description.quantum == (Quantum { step: 1.0, offset: 0.0 });
     match description.kind {
+        Kind::Height if meters && leaves.is_whole() => {
+            build_of::<i16, W>(description, leaves, site, means, begun, watch)
+        }
         Kind::Height => build_of::<f32, W>(description, leaves, site, means, begun, watch),
         Kind::Color | Kind::Normal => {
             build_of::<u8, W>(description, leaves, site, means, begun, watch)
@@ -166,13 +170,9 @@ fn build_of<S: Texel, W: Site + Send>(
 ) -> Result<(W, Written), BuildError> {
     let start = Instant::now();
     let mut schedule = Schedule::new(description.grid.pyramid(), description.unit_pages, HALO);
-    let meters = description.quantum == (Quantum { step: 1.0, offset: 0.0 });
-    let source = SourceTraits {
-        spans: if leaves.may_have_holes() { Spans::Kept } else { Spans::Unneeded },
-        heights: if meters && leaves.is_whole() { Heights::Whole } else { Heights::Any },
-    };
+    let spans = if leaves.may_have_holes() { Spans::Kept } else { Spans::Unneeded };
     let scratch = Arc::clone(&means.scratch);
-    let mut shop = Shop::<S>::new(description, source, scratch, means.frontier_bytes);
+    let mut shop = Shop::<S>::new(description, spans, scratch, means.frontier_bytes);
     let mut progress = Progress {
         units_done: 0,
         units_resumed: 0,

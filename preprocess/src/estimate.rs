@@ -160,7 +160,8 @@ impl Sample {
         let raws = read.collect::<Result<Vec<_>, RasterError>>().ok()?;
         let reading_s = start.elapsed().as_secs_f64();
         let decoded_blocks = apart.decoded_blocks();
-        let leaves = SideBySide { raws, may_have_holes: apart.may_have_holes() };
+        let leaves =
+            SideBySide { raws, may_have_holes: apart.may_have_holes(), is_whole: apart.is_whole() };
         drop(apart);
 
         let (building_s, bytes) = self.build(&leaves, scratch)?;
@@ -198,6 +199,7 @@ impl Figures {
 struct SideBySide {
     raws: Vec<Option<Raw>>,
     may_have_holes: bool,
+    is_whole: bool,
 }
 
 impl Leaves for SideBySide {
@@ -207,5 +209,9 @@ impl Leaves for SideBySide {
 
     fn may_have_holes(&self) -> bool {
         self.may_have_holes
+    }
+
+    fn is_whole(&self) -> bool {
+        self.is_whole
     }
 }

@@ -229,6 +229,8 @@ struct Head {
     cols: u64,
     /// 1 originals, 2 coverage, 4 spans, 8 cells.
     parts: u64,
+    /// Binary logarithm of the cells' unit.
+    unit_log2: u64,
     /// The range of the texels, each end in the first bytes.
     range: [[u8; 4]; 2],
 }
@@ -263,7 +265,8 @@ impl<S: Texel> Kept<S> {
         let flags = [original.is_some(), coverage.is_some(), spans.is_some(), self.cells.is_some()];
         let parts = flags.iter().rev().fold(0, |parts, &flag| parts << 1 | u64::from(flag));
         let [side, rows, cols] = [*side, *rows, *cols].map(|size| size as u64);
-        let mut head = Head { side, rows, cols, parts, range: [[0; 4]; 2] };
+        let unit_log2 = self.cells.as_ref().map_or(0, |cells| cells[0].unit_log2.into());
+        let mut head = Head { side, rows, cols, parts, unit_log2, range: [[0; 4]; 2] };
         for (bytes, end) in head.range.iter_mut().zip([range.0, range.1]) {
             bytes[..size_of::<S>()].copy_from_slice(bytemuck::bytes_of(&end));
         }
@@ -294,7 +297,8 @@ impl<S: Texel> Kept<S> {
         };
         let cells = if has(3) {
             let ends = read_arrays(&mut rest, 2 * S::CHANNELS, inside)?;
-            Some(pairs(ends, |low, high| Cells { rows, cols, low, high }))
+            let unit_log2 = u32::try_from(head.unit_log2).ok()?;
+            Some(pairs(ends, |low, high| Cells { rows, cols, unit_log2, low, high }))
         } else {
             None
         };
@@ -339,7 +343,7 @@ mod tests {
         let has = |part: u8| parts >> part & 1 == 1;
         let span = |channel| Span { least: plane(channel + 7), greatest: plane(channel + 9) };
         let ends = vec![cell; rows * cols];
-        let cells = Cells { rows, cols, low: ends.clone(), high: ends };
+        let cells = Cells { rows, cols, unit_log2: 3, low: ends.clone(), high: ends };
         Kept {
             tile: Tile {
                 side,
@@ -377,6 +381,7 @@ mod tests {
     #[test]
     fn pages_come_back_bit_for_bit() {
         comes_back(|at| at as f32 * 0.1, 0.25_f32);
+        comes_back(|at| i16::try_from(at).unwrap() - 50, -9_i16);
         comes_back(|at| u8::try_from(at).unwrap(), -9_i16);
     }
 

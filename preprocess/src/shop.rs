@@ -26,21 +26,12 @@ use crate::schedule::Step;
 use crate::scratch::{Scratch, Slot};
 use crate::texel::Texel;
 use crate::tile::{Border, Raw, Tile};
-use crate::whole::{self, Heights, Payloads, Whole, WholeChild};
-
-/// What need not be done for the leaves of a source.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct SourceTraits {
-    /// Whether finest texels are kept for bounds beside holes.
-    pub(crate) spans: Spans,
-    /// Whether every leaf is on the dataset's step, of whole meters, as it is read.
-    pub(crate) heights: Heights,
-}
+use crate::whole::{self, Payloads, Whole, WholeChild};
 
 /// What is under construction.
 pub(crate) struct Shop<'a, S: Texel> {
     description: &'a Description,
-    source: SourceTraits,
+    spans: Spans,
     scratch: Arc<Scratch>,
     frontier: Frontier<S>,
     /// Of the leaves that a feather may still reach.
@@ -60,13 +51,13 @@ pub(crate) type Finished = (PageAddress, Option<(PageEntry, Vec<u8>)>);
 impl<'a, S: Texel> Shop<'a, S> {
     pub(crate) fn new(
         description: &'a Description,
-        source: SourceTraits,
+        spans: Spans,
         scratch: Arc<Scratch>,
         frontier_bytes: u64,
     ) -> Self {
         Self {
             description,
-            source,
+            spans,
             frontier: Frontier::new(Arc::clone(&scratch), frontier_bytes),
             scratch,
             validity: HashMap::new(),
@@ -225,7 +216,7 @@ impl<'a, S: Texel> Shop<'a, S> {
                 self.validity.insert(page, Validity::Empty);
                 continue;
             };
-            let planes = S::channels(planes);
+            let planes = S::channels(planes, alpha.as_deref());
             let (original, spans, range) = (None, None, S::NOTHING);
             let tile = Tile { side, rows, cols, planes, original, coverage: alpha, spans, range };
             let validity = tile.coverage.as_ref().map_or(Validity::Full, |alpha| {
@@ -269,10 +260,8 @@ impl<'a, S: Texel> Shop<'a, S> {
             let validity = |leaf| &shop.validity[&leaf];
             *coverage = feather::coverage(shop.pyramid(), page, coverage.as_deref(), validity);
             let quantum = shop.description.quantum;
-            if shop.source.heights == Heights::Any {
-                let settled = S::to_step(planes, quantum);
-                *original = settled.ok_or(BuildError::Step { page, step: quantum.step })?;
-            }
+            let settled = S::to_step(planes, quantum);
+            *original = settled.ok_or(BuildError::Step { page, step: quantum.step })?;
             Ok(())
         })?;
         Ok(())
@@ -289,7 +278,7 @@ impl<'a, S: Texel> Shop<'a, S> {
                     .collect();
                 let (rows, cols) = pyramid.interior_size(page);
                 let (side, size) = (pyramid.page_side() as usize, (rows as usize, cols as usize));
-                mip::parent(side, size, &children, self.description.quantum, self.source.spans)
+                mip::parent(side, size, &children, self.description.quantum, self.spans)
             })
             .collect();
         for (&page, tile) in parents.iter().zip(settled) {
@@ -356,7 +345,7 @@ impl<'a, S: Texel> Shop<'a, S> {
                 Some(WholeChild { row, col, tile, cells: cells.as_deref(), entry })
             })
             .collect();
-        whole::finish(self.description, page, tile, &children, self.source.heights, payloads)
+        whole::finish(self.description, page, tile, &children, payloads)
             .map_err(|source| BuildError::Encode { page, source })
     }
 }

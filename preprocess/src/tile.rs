@@ -48,7 +48,8 @@ pub struct Tile<S> {
     /// The finest texels under each texel, a plane a channel; `None` for leaves, and where the
     /// source cannot have holes.
     pub spans: Option<Vec<Span<S>>>,
-    /// Valid texels of the finished page, border included, are not less or greater than these.
+    /// Valid texels of the finished page, border included, and the finest under them are not less
+    /// or greater than these.
     pub range: (S, S),
 }
 

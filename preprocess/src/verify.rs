@@ -268,12 +268,13 @@ fn matches_extension_of<S: Texel>(
 
 /// The interior of a page inside the outline, the border left blank.
 fn interior<S: Texel>(page: &Page, (rows, cols): (u32, u32)) -> Tile<S> {
-    let planes = S::channels(match page.texels() {
+    let planes = match page.texels() {
         Texels::Height(heights) => Planes::Height(heights.clone()),
         Texels::Color(colors) => {
             Planes::Color([0, 1, 2].map(|channel| colors.iter().map(|c| c[channel]).collect()))
         }
-    });
+    };
+    let planes = S::channels(planes, page.coverage());
     let blank = Tile::<S>::blank(page.side(), (rows as usize, cols as usize));
     let mut tile = Tile { planes: blank.planes.clone(), ..blank };
     let mut codes = vec![0; page.side() * page.side()];
@@ -500,6 +501,7 @@ fn error_at(raw: &Raw, at: usize, value: [f64; 3]) -> f64 {
     }
     match &raw.planes {
         Planes::Height(plane) => (f64::from(plane[at]) - value[0]).abs(),
+        Planes::WholeHeight(plane) => (f64::from(plane[at]) - value[0]).abs(),
         Planes::Color(planes) => {
             let errors =
                 planes.iter().zip(value).map(|(plane, v)| (f64::from(plane[at]) - v).abs());

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use areoid_formats::address::PageAddress;
 use areoid_formats::archive::{Description, PageEntry, Payload};
-use areoid_formats::bound::{self, Cells, Child, Magnitude, Span};
+use areoid_formats::bound::{self, Cells, Child, Span};
 use areoid_formats::codec::{EncodeError, Scratch};
 use areoid_formats::lanes::{self, greatest, least};
 
@@ -40,15 +40,6 @@ pub struct WholeChild<'a, S: Texel> {
     pub entry: &'a PageEntry,
 }
 
-/// What is known of all heights beforehand.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Heights {
-    /// They are whole meters below 2^22 and stored as they are, so that intervals are sixteenths.
-    Whole,
-    /// Nothing.
-    Any,
-}
-
 /// Whether pages are encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Payloads {
@@ -68,7 +59,6 @@ pub fn finish<S: Texel>(
     page: PageAddress,
     tile: &Tile<S>,
     children: &[WholeChild<'_, S>],
-    heights: Heights,
     payloads: Payloads,
 ) -> Result<Whole<S>, EncodeError> {
     let finest = page.level == description.grid.pyramid().finest();
@@ -82,11 +72,7 @@ pub fn finish<S: Texel>(
         leaf_cells(tile)
     } else {
         let ranges = children.iter().map(|child| child.tile.range).fold(range, union);
-        let texels = Magnitude {
-            largest: in_meters(ranges.0).abs().max(in_meters(ranges.1).abs()),
-            whole: heights == Heights::Whole,
-        };
-        Some(parent_cells(description, page, tile, children, texels))
+        Some(parent_cells(description, page, tile, children, ranges))
     };
     let own_bound = cells.iter().flatten().map(Cells::bound::<S>).fold(0.0, f32::max);
     let figures = Figures::of(tile, children, (interior, range));
@@ -123,7 +109,7 @@ fn parent_cells<S: Texel>(
     page: PageAddress,
     tile: &Tile<S>,
     children: &[WholeChild<'_, S>],
-    texels: Magnitude,
+    range: (S, S),
 ) -> Vec<Cells<S::Cell>> {
     let children_are_leaves = page.level.finer() == description.grid.pyramid().finest();
     (0..S::CHANNELS)
@@ -155,7 +141,7 @@ fn parent_cells<S: Texel>(
                 window(tile, channel, None),
                 (tile.rows, tile.cols),
                 &children,
-                texels,
+                range,
             )
         })
         .collect()
@@ -238,13 +224,20 @@ fn interior_range<S: Texel>(tile: &Tile<S>, margin: usize) -> (S, S) {
     range_of(tile, (1 - margin..=tile.rows + margin).map(row))
 }
 
-/// Least and greatest valid texel outside the interior.
+/// Least and greatest valid texel outside the interior, and under those texels.
 fn border_range<S: Texel>(tile: &Tile<S>) -> (S, S) {
-    let parts = tile::outside((tile.side, tile.rows, tile.cols));
-    range_of(
-        tile,
-        parts.map(|(row, part)| row * tile.side + part.start..row * tile.side + part.end),
-    )
+    let parts = || {
+        let parts = tile::outside((tile.side, tile.rows, tile.cols));
+        parts.map(|(row, part)| row * tile.side + part.start..row * tile.side + part.end)
+    };
+    let finest = tile.spans.iter().flatten().flat_map(|span| {
+        parts().map(|part| {
+            let low = lanes::extremes(&span.least[part.clone()], S::NOTHING);
+            let high = lanes::extremes(&span.greatest[part], S::NOTHING);
+            (low.0, high.1)
+        })
+    });
+    finest.fold(range_of(tile, parts()), union)
 }
 
 fn range_of<S: Texel>(tile: &Tile<S>, parts: impl Iterator<Item = Range<usize>>) -> (S, S) {

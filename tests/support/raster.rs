@@ -86,7 +86,8 @@ impl Raster {
             unit_pages: 2,
             source: Source::default(),
         };
-        let leaves = RasterLeaves { raster: self, interior: page_side as usize - 2 };
+        let (interior, whole) = (page_side as usize - 2, is_whole(self));
+        let leaves = RasterLeaves { raster: self, interior, whole };
         // Without any memory for them, pages go through the scratch file.
         let scratch = Scratch::new(tempfile::tempfile().unwrap(), &[]).unwrap();
         let frontier_bytes = if self.shape.width.is_multiple_of(2) { 0 } else { 1 << 30 };
@@ -129,16 +130,19 @@ fn outline(shape: Shape) -> Outline {
 struct RasterLeaves<'a> {
     raster: &'a Raster,
     interior: usize,
+    whole: bool,
+}
+
+/// Whether all texels are whole meters that fit in 16 bits.
+fn is_whole(raster: &Raster) -> bool {
+    let negative_zero = (-0.0_f32).to_bits();
+    let whole = |t: &f32| t.trunc() == *t && t.abs() < 32768.0 && t.to_bits() != negative_zero;
+    raster.planes.len() == 1 && raster.planes.iter().flatten().all(|t| whole(t) || t.is_nan())
 }
 
 impl Leaves for RasterLeaves<'_> {
     fn is_whole(&self) -> bool {
-        let negative_zero = (-0.0_f32).to_bits();
-        let whole = |t: &f32| {
-            let whole = t.trunc() == *t && t.abs() < 4e6 && t.to_bits() != negative_zero;
-            whole || t.is_nan()
-        };
-        self.raster.planes.iter().flatten().all(whole)
+        self.whole
     }
 
     fn read(&self, page: PageAddress) -> Result<Option<Raw>, RasterError> {
@@ -163,7 +167,10 @@ impl Leaves for RasterLeaves<'_> {
         }
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "codes")]
         let codes = |plane: &Vec<f32>| plane.iter().map(|&code| code as u8).collect();
+        #[expect(clippy::cast_possible_truncation, reason = "whole heights")]
+        let heights = |plane: &Vec<f32>| plane.iter().map(|&height| height as i16).collect();
         let planes = match &planes[..] {
+            [plane] if self.whole => Planes::WholeHeight(heights(plane)),
             [red, green, blue] => Planes::Color([codes(red), codes(green), codes(blue)]),
             _ => Planes::Height(planes.swap_remove(0)),
         };

@@ -1,12 +1,13 @@
 //! Cells with missing taps around: point by point.
 
-use super::interval::{Row, Texel};
+use super::interval::{Row, Terms, Texel};
 use super::{Child, LATTICE, Window, parent_taps, taps};
 
 /// Finds the cells of a child beside holes, and puts their intervals right.
 pub(super) struct Holes<'a, S: Texel> {
     parent: Window<'a, S>,
     child: Child<'a, S>,
+    terms: Terms<S>,
     /// In the three rows of the child that a row of cells looks at, by column of the window.
     fine: Columns,
     /// In the two rows of the parent, likewise.
@@ -20,10 +21,10 @@ struct Columns {
 }
 
 impl<'a, S: Texel> Holes<'a, S> {
-    pub(super) fn new(parent: Window<'a, S>, child: Child<'a, S>) -> Self {
+    pub(super) fn new(parent: Window<'a, S>, child: Child<'a, S>, terms: Terms<S>) -> Self {
         let flags = || vec![0; parent.side];
         let columns = || Columns { any: flags(), all: flags() };
-        Self { parent, child, fine: columns(), coarse: columns() }
+        Self { parent, child, terms, fine: columns(), coarse: columns() }
     }
 
     /// Replaces the intervals of row `row` that a missing tap made wrong.
@@ -31,7 +32,6 @@ impl<'a, S: Texel> Holes<'a, S> {
         &mut self,
         row: usize,
         (known_low, known_high): (&[S::Cell], &[S::Cell]),
-        rounding: f64,
         Row { low, high }: &mut Row<S>,
     ) {
         let interior = self.parent.side - 2;
@@ -58,17 +58,17 @@ impl<'a, S: Texel> Holes<'a, S> {
             let (least, greatest) = if nothing {
                 (f64::INFINITY, f64::NEG_INFINITY)
             } else {
-                let known = (S::end(known_low[col]), S::end(known_high[col]));
-                self.careful(row, col, known, rounding)
+                let known =
+                    [known_low[col], known_high[col]].map(|end| S::end(end, self.terms.known_log2));
+                self.careful(row, col, known)
             };
-            (low[col], high[col]) =
-                if least <= greatest { S::outward(least, greatest) } else { S::EMPTY };
+            (low[col], high[col]) = S::outward(least, greatest, self.terms.unit_log2);
         }
     }
 
     /// The interval of a child cell with missing taps around.
-    fn careful(&self, row: usize, col: usize, known: (f64, f64), rounding: f64) -> (f64, f64) {
-        let Self { parent, child, .. } = self;
+    fn careful(&self, row: usize, col: usize, known: [f64; 2]) -> (f64, f64) {
+        let Self { parent, child, terms: Terms { rounding, .. }, .. } = self;
         let interior = parent.side - 2;
         let coarse = LATTICE.map(|(down, across)| {
             let (top, bottom, below) = parent_taps(child.row * interior + row, down);
@@ -98,8 +98,8 @@ impl<'a, S: Texel> Holes<'a, S> {
             let fine = corners.map(|(r, c)| child.window.at(r, c)).iter().sum::<f64>() / 4.0;
             if !fine.is_nan() {
                 if !here.is_nan() {
-                    low = low.min(here - fine + known.0 - rounding);
-                    high = high.max(here - fine + known.1 + rounding);
+                    low = low.min(here - fine + known[0] - rounding);
+                    high = high.max(here - fine + known[1] + rounding);
                 }
                 continue;
             }

@@ -12,7 +12,7 @@
 //!    16 R_l+1 4 (f of both sides) at an edge, 8 f at a center
 //! ```
 
-use super::interval::{Number, Row, Texel};
+use super::interval::{Number, Row, Terms, Texel};
 use super::{Child, Window, parent_taps, taps};
 use crate::lanes::{greatest, least};
 
@@ -20,6 +20,7 @@ use crate::lanes::{greatest, least};
 pub(super) struct Lattice<'a, S: Texel, T> {
     parent: Window<'a, S>,
     child: Child<'a, S>,
+    terms: Terms<S>,
     rows: [Extremes<T>; 3],
     coarse: Vec<T>,
     edges: Vec<T>,
@@ -34,7 +35,7 @@ struct Extremes<T> {
 }
 
 impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
-    pub(super) fn new(parent: Window<'a, S>, child: Child<'a, S>) -> Self {
+    pub(super) fn new(parent: Window<'a, S>, child: Child<'a, S>, terms: Terms<S>) -> Self {
         let cols = child.size.1;
         let pairs = cols / 2 + 1;
         let numbers = |count: usize| vec![T::default(); count];
@@ -42,6 +43,7 @@ impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
         Self {
             parent,
             child,
+            terms,
             rows: [row(), row(), row()],
             coarse: numbers(pairs + 2),
             edges: numbers(2 * pairs),
@@ -68,17 +70,17 @@ impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
     pub(super) fn intervals(
         &self,
         known: (&[S::Cell], &[S::Cell]),
-        rounding: f64,
         Row { low, high }: &mut Row<S>,
     ) {
+        let terms = self.terms;
         let [top, middle, bottom] = &self.rows;
         let rows = top.low.iter().zip(&middle.low).zip(&bottom.low);
         for ((low, ((&a, &b), &c)), &known) in low.iter_mut().zip(rows).zip(known.0) {
-            *low = least(least(a, b), c).low(known, rounding);
+            *low = least(least(a, b), c).low(known, terms);
         }
         let rows = top.high.iter().zip(&middle.high).zip(&bottom.high);
         for ((high, ((&a, &b), &c)), &known) in high.iter_mut().zip(rows).zip(known.1) {
-            *high = greatest(greatest(a, b), c).high(known, rounding);
+            *high = greatest(greatest(a, b), c).high(known, terms);
         }
     }
 
@@ -87,16 +89,17 @@ impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
         let side = self.parent.side;
         let interior = side - 2;
         let cols = self.child.size.1;
+        let base = self.terms.base;
 
         let (top, bottom, weight) = parent_taps(self.child.row * interior + row, half);
         let first = self.child.col * interior / 2;
         let upper = &self.parent.texels[top * side..][first..side];
         let lower = &self.parent.texels[bottom * side..][first..side];
-        let (above, below) = (T::from(4 - weight), T::from(weight));
+        let (above, below) = (T::from_weight(4 - weight), T::from_weight(weight));
         for ((q, &a), &b) in self.coarse.iter_mut().zip(upper).zip(lower) {
-            *q = T::from_texel(a) * above + T::from_texel(b) * below;
+            *q = T::from_texel(a, base) * above + T::from_texel(b, base) * below;
         }
-        let [two, three, four, eight] = [2, 3, 4, 8].map(T::from);
+        let [two, three, four, eight] = [2, 3, 4, 8].map(T::from_weight);
         let pairs = self.edges.as_chunks_mut::<2>().0.iter_mut();
         let pairs = pairs.zip(self.centers.as_chunks_mut::<2>().0);
         let (q0, q1, q2) = (&self.coarse[..], &self.coarse[1..], &self.coarse[2..]);
@@ -109,7 +112,7 @@ impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
         let upper = &self.child.window.texels[top * side..][..side];
         let lower = &self.child.window.texels[bottom * side..][..side];
         for ((f, &a), &b) in self.fine.iter_mut().zip(upper).zip(lower) {
-            *f = T::from_texel(a) + T::from_texel(b);
+            *f = T::from_texel(a, base) + T::from_texel(b, base);
         }
         for ((edge, &a), &b) in self.edges.iter_mut().zip(&self.fine).zip(&self.fine[1..]) {
             *edge = *edge - (a + b) * four;

@@ -21,7 +21,7 @@ pub fn leaf_cells<S: Texel>(
             _ => stored.texels[at].into() - original[at].into(),
         })
         .collect();
-    let mut cells = Cells::empty::<S>(size.0, size.1);
+    let mut cells = Cells::empty::<S>(size.0, size.1, 0);
     for row in 0..size.0 {
         for col in 0..size.1 {
             for (down, across) in LATTICE {

@@ -28,10 +28,11 @@
 //!
 //! # Precision
 //!
-//! At the lattice all weights are sixteenths, so differences of whole numbers are whole sixteenths:
-//! i16 holds those of color codes, f32 those of whole heights up to 2^17 m, both without rounding.
-//! Other heights take f64 sums, an allowance for their rounding, and intervals rounded outward to
-//! f32.
+//! At the lattice all weights are sixteenths, so differences of whole numbers are whole sixteenths.
+//! i16 holds those of color codes, and of whole heights where a page and its children span less
+//! than 2^11 m less what is known of the children; where they span more, i32 does, and ends are
+//! rounded outward to the least power of two of sixteenths that lets them fit in i16. Other heights
+//! take f64 sums, an allowance for their rounding, and intervals rounded outward to f32.
 //!
 //! # References
 //!
@@ -43,11 +44,12 @@ mod interval;
 mod lattice;
 mod leaf;
 
-pub use interval::{Cells, Magnitude, Texel, rounded_up};
+pub use interval::{Cells, Texel, rounded_up};
 pub use leaf::leaf_cells;
 
 use std::marker::PhantomData;
 
+use interval::Terms;
 use lattice::Lattice;
 
 use crate::lanes::Wide;
@@ -108,18 +110,22 @@ pub struct Child<'a, S: Texel> {
 ///
 /// # Shapes
 ///
-/// `size` is that of the interior inside the outline; all windows have the same side. `texels` holds
-/// for all of them.
+/// `size` is that of the interior inside the outline; all windows have the same side. No valid texel
+/// of a window or of its span is less or greater than `range`.
 #[must_use]
 pub fn parent_cells<S: Texel>(
     parent: Window<'_, S>,
     size: (usize, usize),
     children: &[Child<'_, S>],
-    texels: Magnitude,
+    range: (S, S),
 ) -> Cells<S::Cell> {
-    let mut cells = Cells::empty::<S>(size.0, size.1);
+    let known = children.iter().filter_map(|child| child.cells);
+    let bound = known.clone().map(Cells::bound::<S>).fold(0.0, f32::max);
+    let finer = known.map(|cells| cells.unit_log2).max().unwrap_or(0);
+    let unit_log2 = S::unit_log2(range, bound.into()).max(finer);
+    let mut cells = Cells::empty::<S>(size.0, size.1, unit_log2);
     for child in children {
-        S::widen_by_child(&mut cells, parent, child, texels);
+        S::widen_by_child(&mut cells, parent, child, range);
     }
     cells
 }
@@ -129,7 +135,7 @@ struct Widening<'a, S: Texel, T> {
     cells: &'a mut Cells<S::Cell>,
     parent: Window<'a, S>,
     child: &'a Child<'a, S>,
-    rounding: f64,
+    terms: Terms<S>,
     arithmetic: PhantomData<T>,
 }
 
@@ -138,9 +144,9 @@ impl<'a, S: Texel, T> Widening<'a, S, T> {
         cells: &'a mut Cells<S::Cell>,
         parent: Window<'a, S>,
         child: &'a Child<'a, S>,
-        rounding: f64,
+        terms: Terms<S>,
     ) -> Self {
-        Self { cells, parent, child, rounding, arithmetic: PhantomData }
+        Self { cells, parent, child, terms, arithmetic: PhantomData }
     }
 }
 
@@ -149,11 +155,11 @@ impl<S: Texel, T: interval::Number<S>> Wide for Widening<'_, S, T> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { cells, parent, child, rounding, .. } = self;
+        let Self { cells, parent, child, terms, .. } = self;
         let interior = parent.side - 2;
         let (rows, cols) = child.size;
-        let mut lattice = Lattice::<S, T>::new(parent, *child);
-        let mut holes = holes::Holes::new(parent, *child);
+        let mut lattice = Lattice::<S, T>::new(parent, *child, terms);
+        let mut holes = holes::Holes::new(parent, *child, terms);
         let mut pair = interval::Row::<S>::empty(cols);
         let mut lower = interval::Row::<S>::empty(cols);
         let zeros = vec![S::ZERO; cols];
@@ -164,8 +170,8 @@ impl<S: Texel, T: interval::Number<S>> Wide for Widening<'_, S, T> {
             };
             let intervals = if row % 2 == 0 { &mut pair } else { &mut lower };
             lattice.advance(row);
-            lattice.intervals(known, rounding, intervals);
-            holes.mend(row, known, rounding, intervals);
+            lattice.intervals(known, intervals);
+            holes.mend(row, known, intervals);
             if row % 2 == 1 {
                 pair.widen(&lower);
             }

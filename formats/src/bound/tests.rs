@@ -4,7 +4,6 @@ use proptest::prelude::*;
 
 const SIDE: usize = 12;
 const INTERIOR: usize = SIDE - 2;
-const MAGNITUDE: Magnitude = Magnitude { largest: 30_000.0, whole: true };
 
 /// A parent and its four children, texels drawn anew for each.
 #[derive(Clone, Debug)]
@@ -34,6 +33,19 @@ impl<S: Texel> Family<S> {
 
     fn children(&self) -> Vec<Child<'_, S>> {
         [(0, 0), (0, 1), (1, 0), (1, 1)].map(|(row, col)| self.child(row, col)).to_vec()
+    }
+
+    /// The range of all texels.
+    fn range(&self) -> (S, S) {
+        let texels = self.children.iter().flatten().chain(&self.parent);
+        let start = (self.parent[0], self.parent[0]);
+        texels.fold(start, |(low, high), &texel| {
+            (if texel < low { texel } else { low }, if texel > high { texel } else { high })
+        })
+    }
+
+    fn cells(&self) -> Cells<S::Cell> {
+        parent_cells(self.parent(), self.size(), &self.children(), self.range())
     }
 
     fn size(&self) -> (usize, usize) {
@@ -95,77 +107,105 @@ fn by_the_book<S: Texel>(family: &Family<S>) -> Vec<Vec<(f64, f64)>> {
 }
 
 fn ends<S: Texel>(cells: &Cells<S::Cell>) -> Vec<Vec<(f64, f64)>> {
-    let pairs = cells.low.iter().zip(&cells.high).map(|(&l, &h)| (S::end(l), S::end(h)));
+    let end = |cell| S::end(cell, cells.unit_log2);
+    let pairs = cells.low.iter().zip(&cells.high).map(|(&l, &h)| (end(l), end(h)));
     pairs.collect::<Vec<_>>().chunks(cells.cols).map(<[_]>::to_vec).collect()
 }
 
 /// The same, in the arithmetic of `T`, whatever the texels.
-fn in_arithmetic<S: Texel, T: Number<S>>(family: &Family<S>) -> Cells<S::Cell> {
+fn in_arithmetic<S: Texel, T: Number<S>>(family: &Family<S>, base: S) -> Cells<S::Cell> {
     let (rows, cols) = family.size();
-    let mut cells = Cells::empty::<S>(rows, cols);
+    let mut cells = Cells::empty::<S>(rows, cols, 0);
     for child in family.children() {
-        Widening::<S, T>::new(&mut cells, family.parent(), &child, 0.0).run();
+        Widening::<S, T>::new(&mut cells, family.parent(), &child, Terms::exact(base)).run();
     }
     cells
 }
 
-fn whole_height() -> impl Strategy<Value = f32> + Clone {
-    (-9000_i16..30000).prop_map(f32::from)
+/// Whole heights that span at most 2000 m, anywhere.
+fn close_heights() -> impl Strategy<Value = Family<i16>> {
+    (family(0_i16..=2000), i16::MIN..=i16::MAX - 2000).prop_map(|(mut family, from)| {
+        let texels = family.children.iter_mut().flatten().chain(&mut family.parent);
+        texels.for_each(|texel| *texel += from);
+        family
+    })
+}
+
+/// Whether intervals contain what they should, and how far they are out at most.
+fn slack(found: &[(f64, f64)], exact: &[(f64, f64)]) -> Option<f64> {
+    found.iter().zip(exact).try_fold(0.0_f64, |most, (found, exact)| {
+        let (low, high) = (exact.0 - found.0, found.1 - exact.1);
+        (low >= 0.0 && high >= 0.0).then(|| most.max(low).max(high))
+    })
 }
 
 proptest! {
     #[test]
-    fn whole_heights_have_the_intervals_of_the_book(family in family(whole_height())) {
-        let cells = parent_cells(family.parent(), family.size(), &family.children(), MAGNITUDE);
-        prop_assert_eq!(ends::<f32>(&cells), by_the_book(&family));
-        prop_assert_eq!(&cells, &in_arithmetic::<f32, f64>(&family));
+    fn whole_heights_have_the_intervals_of_the_book(family in close_heights()) {
+        let cells = family.cells();
+        prop_assert_eq!(ends::<i16>(&cells), by_the_book(&family));
+        prop_assert_eq!(&cells, &in_arithmetic::<i16, i32>(&family, 0));
+    }
+
+    #[test]
+    fn whole_heights_far_apart_are_out_by_a_unit_at_most(family in family(any::<i16>())) {
+        let cells = family.cells();
+        let slack = slack(&ends::<i16>(&cells).concat(), &by_the_book(&family).concat());
+        let unit = f64::from(1_u32 << cells.unit_log2) / 16.0;
+        prop_assert!(slack.is_some_and(|slack| slack < unit), "{slack:?} {unit}");
+        let (least, greatest) = family.range();
+        let spread = f64::from(greatest) - f64::from(least);
+        prop_assert!(unit <= (spread / 1000.0).max(1.0 / 16.0), "{unit} {spread}");
     }
 
     #[test]
     fn colors_have_the_intervals_of_the_book(family in family(any::<u8>())) {
-        let cells = parent_cells(family.parent(), family.size(), &family.children(), MAGNITUDE);
+        let cells = family.cells();
         prop_assert_eq!(ends::<u8>(&cells), by_the_book(&family));
     }
 
     #[test]
     fn other_heights_lie_in_their_intervals(family in family(-1e4_f32..1e4)) {
-        let broken = Magnitude { largest: 1e4, whole: false };
-        let cells = parent_cells(family.parent(), family.size(), &family.children(), broken);
-        let found = ends::<f32>(&cells).concat();
-        for ((low, high), (least, greatest)) in found.into_iter().zip(by_the_book(&family).concat()) {
-            prop_assert!(low <= least && greatest <= high, "{low} {least} {greatest} {high}");
-            prop_assert!(least - low < 4e-3 && high - greatest < 4e-3);
-        }
+        let found = ends::<f32>(&family.cells()).concat();
+        let slack = slack(&found, &by_the_book(&family).concat());
+        prop_assert!(slack.is_some_and(|slack| slack < 4e-3), "{slack:?}");
     }
 
-    /// What is known of a child moves its intervals, to the bit for whole sixteenths.
+    /// What is known of a child moves its intervals, to the bit where units are the same.
     #[test]
-    fn what_is_known_is_added(family in family(whole_height()), low in -800_i16..0, high in 0_i16..800) {
-        let ends = (f32::from(low) / 16.0, f32::from(high) / 16.0);
-        let mut known = Cells::empty::<f32>(INTERIOR, INTERIOR);
-        known.low.fill(ends.0);
-        known.high.fill(ends.1);
-        let without = parent_cells(family.parent(), (5, 5), &[family.child(0, 0)], MAGNITUDE);
-        let child = Child { cells: Some(&known), ..family.child(0, 0) };
-        let with = parent_cells(family.parent(), (5, 5), &[child], MAGNITUDE);
-        let moved = |of: &[f32], by: f32| of.iter().map(|end| end + by).collect::<Vec<_>>();
-        prop_assert_eq!(with.low, moved(&without.low, ends.0));
-        prop_assert_eq!(with.high, moved(&without.high, ends.1));
+    fn what_is_known_is_added(
+        family in close_heights(), low in -700_i16..0, high in 0_i16..700, unit_log2 in 0_u32..4,
+    ) {
+        let mut known = Cells::empty::<i16>(INTERIOR, INTERIOR, unit_log2);
+        known.low.fill(low);
+        known.high.fill(high);
+        let own = family.child(0, 0);
+        let cells = |child| parent_cells(family.parent(), (5, 5), &[child], family.range());
+        let (without, with) = (cells(own), cells(Child { cells: Some(&known), ..own }));
+        let by = [low, high].map(|end| i16::end(end, unit_log2));
+        let moved = |&(low, high): &(f64, f64)| (low + by[0], high + by[1]);
+        let moved: Vec<_> = ends::<i16>(&without).concat().iter().map(moved).collect();
+        let slack = slack(&ends::<i16>(&with).concat(), &moved);
+        let unit = f64::from(1_u32 << with.unit_log2) / 16.0;
+        let exact = with.unit_log2 == 0 && slack == Some(0.0);
+        prop_assert!(exact || with.unit_log2 > 0 && slack.is_some_and(|slack| slack < unit));
+        prop_assert!(with.unit_log2 >= unit_log2);
     }
 
     /// A texel that is not there is not looked at, in the child or in the parent.
     #[test]
     fn holes_hide_what_is_under_them(
-        family in family(any::<u8>()),
-        holes in prop::collection::vec((0..5_usize, 0..SIDE * SIDE, any::<u8>()), 1..6),
+        family in close_heights(),
+        holes in prop::collection::vec((0..5_usize, 0..SIDE * SIDE, any::<i16>()), 1..6),
     ) {
+        let range = family.range();
         let mut coverage = vec![vec![255_u8; SIDE * SIDE]; 5];
         let mut other = family.clone();
         for (which, at, texel) in holes {
             coverage[which][at] = 0;
             if which == 4 { other.parent[at] = texel } else { other.children[which][at] = texel }
         }
-        let cells = |family: &Family<u8>| {
+        let cells = |family: &Family<i16>| {
             let cover = |window, which: usize| Window { coverage: Some(&coverage[which]), ..window };
             let children: Vec<_> = (0..4)
                 .map(|which| {
@@ -173,7 +213,7 @@ proptest! {
                     Child { window: cover(child.window, which), ..child }
                 })
                 .collect();
-            parent_cells(cover(family.parent(), 4), family.size(), &children, MAGNITUDE)
+            parent_cells(cover(family.parent(), 4), family.size(), &children, range)
         };
         prop_assert_eq!(cells(&family), cells(&other));
     }
@@ -181,9 +221,11 @@ proptest! {
 
 #[test]
 fn ends_round_outward() {
-    assert_eq!(u8::outward(-0.01, 0.01), (-1, 1));
-    assert_eq!(u8::outward(1.0, -1.0), u8::EMPTY);
-    assert_eq!(u8::outward(-300.0, 300.0), (-255 * 16, 255 * 16));
-    let (low, high) = f32::outward(-0.1, 0.1);
+    assert_eq!(u8::outward(-0.01, 0.01, 0), (-1, 1));
+    assert_eq!(u8::outward(1.0, -1.0, 0), u8::EMPTY);
+    assert_eq!(u8::outward(-300.0, 300.0, 0), (-255 * 16, 255 * 16));
+    assert_eq!(i16::outward(-0.2, 0.2, 2), (-1, 1));
+    assert_eq!(i16::outward(-1000.0, 1000.0, 1), (-8000, 8000));
+    let (low, high) = f32::outward(-0.1, 0.1, 0);
     assert!(f64::from(low) < -0.1 && f64::from(high) > 0.1);
 }

@@ -17,6 +17,7 @@ use super::image::{self, ImageScratch, PlaneScratch};
 use super::quantum::Quantum;
 use super::reader::Reader;
 use super::{Scratch, check_length, check_side};
+use crate::lanes;
 
 const FORM: u8 = 0x10;
 const COVERAGE: u8 = 1;
@@ -88,10 +89,7 @@ pub fn encode_heights_into(
     let range = last.wrapping_sub(base).cast_unsigned();
     let wide = range > u32::from(u16::MAX);
 
-    payload.clear();
-    payload
-        .push(FORM | if coverage.is_some() { COVERAGE } else { 0 } | if wide { WIDE } else { 0 });
-    payload.extend_from_slice(&base.to_le_bytes());
+    write_head(coverage.is_some(), wide, base, payload);
     if wide {
         let lane = |index: i32| index.wrapping_sub(base).cast_unsigned();
         write_lanes(indices, lane, coverage, side, words, shared, payload);
@@ -104,6 +102,58 @@ pub fn encode_heights_into(
         coverage::write(coverage, side, bytes, shared, payload);
     }
     Ok(())
+}
+
+/// [`encode_heights_into`] of heights that are whole meters, on the step of 1 and offset of 0: the
+/// same bytes.
+///
+/// # Domain
+///
+/// Texels without coverage may be anything.
+///
+/// # Errors
+///
+/// [`EncodeError`] if the side or a length is wrong.
+pub fn encode_whole_heights_into(
+    texels: &[i16],
+    coverage: Option<&[u8]>,
+    side: usize,
+    scratch: &mut Scratch,
+    payload: &mut Vec<u8>,
+) -> Result<(), EncodeError> {
+    check_side(side).map_err(|found| EncodeError::Side { found })?;
+    check_length("texels", texels.len(), side * side)?;
+    if let Some(coverage) = coverage {
+        check_length("coverage", coverage.len(), side * side)?;
+    }
+    let coverage = coverage::partial(coverage);
+
+    let none = (i16::MAX, i16::MIN);
+    let (least, greatest) = match coverage {
+        None => lanes::extremes(texels, none),
+        Some(coverage) => {
+            let covered = texels.iter().zip(coverage).filter(|(_, code)| **code != 0);
+            covered.fold(none, |range, (&texel, _)| (texel.min(range.0), texel.max(range.1)))
+        }
+    };
+    let base = if least > greatest { 0 } else { least };
+    write_head(coverage.is_some(), false, base.into(), payload);
+    let Scratch { bytes, halves, shared, .. } = scratch;
+    for (lane, texel) in halves.lanes_mut(side).iter_mut().zip(texels) {
+        *lane = texel.wrapping_sub(base).cast_unsigned();
+    }
+    image::write(halves, shared, coverage, side, None, payload);
+    if let Some(coverage) = coverage {
+        coverage::write(coverage, side, bytes, shared, payload);
+    }
+    Ok(())
+}
+
+/// Begins a payload anew.
+fn write_head(covered: bool, wide: bool, base: i32, payload: &mut Vec<u8>) {
+    payload.clear();
+    payload.push(FORM | if covered { COVERAGE } else { 0 } | if wide { WIDE } else { 0 });
+    payload.extend_from_slice(&base.to_le_bytes());
 }
 
 fn write_lanes<L: Lane>(

@@ -27,7 +27,10 @@ pub use color::{
     encode_colors, encode_colors_into,
 };
 pub use error::{DecodeError, EncodeError};
-pub use height::{decode_heights, decode_heights_into, encode_heights, encode_heights_into};
+pub use height::{
+    decode_heights, decode_heights_into, encode_heights, encode_heights_into,
+    encode_whole_heights_into,
+};
 pub use quantum::{Quantum, QuantumError};
 
 use std::ops::RangeInclusive;

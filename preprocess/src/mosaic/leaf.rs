@@ -9,7 +9,7 @@ use areoid_formats::pyramid::Pyramid;
 
 use super::{Mosaic, Part, Place};
 use crate::build::Leaves;
-use crate::raster::{Filled, RasterError, SampleType, Window, colors_into, heights_into};
+use crate::raster::{Filled, RasterError, Window, colors_into, heights_into, whole_heights_into};
 use crate::texel::Planes;
 use crate::tile::Raw;
 
@@ -23,17 +23,9 @@ impl Leaves for Mosaic {
             return Ok(None);
         }
         let side = pyramid.page_side() as usize;
-        // Zeros come without being written; what stands for no data must be, where there is any.
         let covers =
             |(part, overlap): &(&Part, Overlap)| part.is_solid() && overlap.len() == place.len();
-        let blank = if overlaps.iter().any(covers) { 0.0 } else { f32::NAN };
-        let mut raw = match self.kind {
-            Kind::Height => Raw { planes: Planes::Height(vec![blank; side * side]), alpha: None },
-            Kind::Color | Kind::Normal => {
-                let plane = || vec![0; side * side];
-                Raw { planes: Planes::Color([plane(), plane(), plane()]), alpha: Some(plane()) }
-            }
-        };
+        let mut raw = self.blank(side, overlaps.iter().any(covers));
         let mut is_opaque = false;
         for (part, overlap) in overlaps {
             let filled = part.read_into(&mut raw, side, place, &overlap)?;
@@ -63,14 +55,7 @@ impl Leaves for Mosaic {
     }
 
     fn is_whole(&self) -> bool {
-        self.parts.iter().all(|part| {
-            let info = part.raster.info();
-            let small = matches!(
-                info.sample,
-                SampleType::U8 | SampleType::I8 | SampleType::U16 | SampleType::I16
-            );
-            small && info.scale == 1.0 && info.offset == 0.0
-        })
+        self.kind == Kind::Height && self.parts.iter().all(|part| part.raster.info().is_whole())
     }
 
     fn may_have_holes(&self) -> bool {
@@ -84,6 +69,25 @@ impl Leaves for Mosaic {
 }
 
 impl Mosaic {
+    /// A leaf without data; `covered` if there will be data everywhere.
+    fn blank(&self, side: usize, covered: bool) -> Raw {
+        let plane = || vec![0; side * side];
+        match self.kind {
+            Kind::Height if self.is_whole() => Raw {
+                planes: Planes::WholeHeight(vec![0; side * side]),
+                alpha: (!covered).then(plane),
+            },
+            Kind::Height => {
+                // Zeros come without being written; what stands for no data must be.
+                let blank = if covered { 0.0 } else { f32::NAN };
+                Raw { planes: Planes::Height(vec![blank; side * side]), alpha: None }
+            }
+            Kind::Color | Kind::Normal => {
+                Raw { planes: Planes::Color([plane(), plane(), plane()]), alpha: Some(plane()) }
+            }
+        }
+    }
+
     /// Pixels of the blocks that are decoded for `leaves`.
     #[must_use]
     pub fn decoded_for(&self, leaves: &[PageAddress]) -> u64 {
@@ -105,7 +109,7 @@ fn settled(mut raw: Raw, side: usize, place: Place) -> Option<Raw> {
         Planes::Height(heights) => {
             heights.iter().map(|height| if height.is_nan() { 0 } else { u8::MAX }).collect()
         }
-        Planes::Color([red, ..]) => vec![u8::MAX; red.len()],
+        Planes::WholeHeight(_) | Planes::Color(_) => vec![u8::MAX; side * side],
     });
     let rows = alpha.chunks_exact(side).skip(1).take(place.height as usize);
     let inside = rows.flat_map(|row| &row[1..=place.width as usize]);
@@ -191,6 +195,10 @@ impl Part {
             let at = to_row * side + to_col;
             let filled = match &mut raw.planes {
                 Planes::Height(out) => heights_into(&block, info, &window, &mut out[at..], side),
+                Planes::WholeHeight(out) => {
+                    let alpha = raw.alpha.as_mut().map(|alpha| &mut alpha[at..]);
+                    whole_heights_into(&block, info, &window, &mut out[at..], alpha, side)?
+                }
                 Planes::Color(planes) => {
                     let planes = planes.each_mut().map(|plane| &mut plane[at..]);
                     let alpha = raw.alpha.as_mut().expect("colors are read with their alpha");

@@ -46,7 +46,7 @@ fn painted(
     bands: u16,
     has_alpha: bool,
     paint: fn(u32, u32) -> Vec<u8>,
-) -> Arc<dyn Raster> {
+) -> Painted {
     let info = RasterInfo {
         path: "painted.tif".into(),
         width,
@@ -66,7 +66,12 @@ fn painted(
         block_width: 7,
         block_height: 5,
     };
-    Arc::new(Painted { info, paint })
+    Painted { info, paint }
+}
+
+fn mosaic(rasters: Vec<Painted>, kind: Kind) -> Mosaic {
+    let rasters = rasters.into_iter().map(|raster| Arc::new(raster) as Arc<dyn Raster>).collect();
+    Mosaic::new(rasters, crs(), kind, 34).unwrap()
 }
 
 /// All leaves of a mosaic, each texel as what its raster shows there.
@@ -98,6 +103,7 @@ fn check(
             let at = (at / cols as usize + 1) * side + at % cols as usize + 1;
             let found: Vec<f32> = match &raw.planes {
                 Planes::Height(plane) => vec![plane[at]],
+                Planes::WholeHeight(plane) => vec![plane[at].into()],
                 Planes::Color(planes) => planes.iter().map(|plane| plane[at].into()).collect(),
             };
             let alpha = raw.alpha.as_ref().map_or(u8::MAX, |alpha| alpha[at]);
@@ -122,22 +128,27 @@ fn striped(col: u32, row: u32) -> Vec<u8> {
     vec![if (col + row) % 90 < 30 { 7 } else { low(col * 3 + row) | 8 }]
 }
 
-fn whole_heights(col: u32, row: u32) -> Vec<u8> {
+fn full_heights(col: u32, row: u32) -> Vec<u8> {
     vec![low(col + row * 5) | 8]
 }
 
 #[test]
 fn heights_of_a_later_raster_show_where_it_has_data() {
-    let rasters = vec![
-        painted((0, 0), (80, 40), 1, false, whole_heights),
-        painted((50, 20), (70, 50), 1, false, striped),
-    ];
-    let mosaic = Mosaic::new(rasters, crs(), Kind::Height, 34).unwrap();
-    check(&mosaic, (120, 70), |col, row| {
-        let of = |value: Vec<u8>| (value[0] != 7).then(|| (vec![f32::from(value[0])], u8::MAX));
-        let second = (col >= 50 && row >= 20).then(|| striped(col - 50, row - 20)).and_then(of);
-        second.or_else(|| (col < 80 && row < 40).then(|| whole_heights(col, row)).and_then(of))
-    });
+    for (scale, is_whole) in [(1.0, true), (2.0, false)] {
+        let mut rasters = vec![
+            painted((0, 0), (80, 40), 1, false, full_heights),
+            painted((50, 20), (70, 50), 1, false, striped),
+        ];
+        rasters.iter_mut().for_each(|raster| raster.info.scale = scale.into());
+        let mosaic = mosaic(rasters, Kind::Height);
+        assert_eq!(mosaic.is_whole(), is_whole);
+        check(&mosaic, (120, 70), |col, row| {
+            let valid = |value: Vec<u8>| (value[0] != 7).then(|| f32::from(value[0]) * scale);
+            let of = |value| valid(value).map(|height| (vec![height], u8::MAX));
+            let second = (col >= 50 && row >= 20).then(|| striped(col - 50, row - 20)).and_then(of);
+            second.or_else(|| (col < 80 && row < 40).then(|| full_heights(col, row)).and_then(of))
+        });
+    }
 }
 
 fn solid(col: u32, row: u32) -> Vec<u8> {
@@ -156,7 +167,7 @@ fn translucent_colors_over_opaque_ones_are_translucent() {
         painted((0, 0), (100, 70), 3, true, solid),
         painted((10, 5), (90, 65), 3, true, misty),
     ];
-    let mosaic = Mosaic::new(rasters, crs(), Kind::Color, 34).unwrap();
+    let mosaic = mosaic(rasters, Kind::Color);
     check(&mosaic, (100, 70), |col, row| {
         let of = |pixel: Vec<u8>| {
             let color = pixel[..3].iter().copied().map(f32::from).collect();

@@ -195,7 +195,7 @@ fn damaged(
 
 #[cfg(test)]
 mod tests {
-    use super::super::convert::{whole_colors, whole_heights};
+    use super::super::convert::{all_colors, all_heights};
     use super::super::open;
     use super::*;
     use areoid_formats::body::Body;
@@ -226,7 +226,7 @@ mod tests {
         assert_eq!((info.outline.origin, info.crs), ([-60.0, 70.0], None));
         let block = raster.read_block(0, 2).unwrap();
         assert_eq!((block.row, block.height), (128, 12));
-        let heights = whole_heights(&block, info);
+        let heights = all_heights(&block, info);
         assert_eq!(heights[120 + 3], 3.0 * 200.0 + 129.0);
     }
 
@@ -257,7 +257,7 @@ mod tests {
         let options = ReadOptions { extent: Some([0.0, 0.0, 2.0, 1.0]), ..ReadOptions::default() };
         let raster = open(&path, &options).unwrap();
         let block = raster.read_block(0, 0).unwrap();
-        let (rgb, alpha) = whole_colors(&block, raster.info()).unwrap();
+        let (rgb, alpha) = all_colors(&block, raster.info()).unwrap();
         assert_eq!((rgb[0], &alpha[..]), ([9, 8, 7], &[1, 0][..]));
     }
 

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   file ──▶ RasterInfo: size, samples, CRS, outline, no-data
-//!        └─▶ blocks ──▶ BlockCache (each decoded once) ──▶ heights_into / colors_into
+//!        └─▶ blocks ──▶ BlockCache (each decoded once) ──▶ heights_into, whole_heights_into, colors_into
 //! ```
 //!
 //! The georeferencing of a raster comes from, in this order: `--crs` and `--extent`, the file's own
@@ -34,7 +34,7 @@ use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::projection::Crs;
 
 pub use self::block_cache::{BlockCache, Overflow, Spill, Ticket};
-pub use self::convert::{Filled, Window, colors_into, heights_into};
+pub use self::convert::{Filled, Window, colors_into, heights_into, whole_heights_into};
 pub use self::error::RasterError;
 pub use self::outline::Outline;
 pub use self::samples::{SampleType, Samples};
@@ -79,6 +79,13 @@ impl RasterInfo {
     #[must_use]
     pub const fn blocks(&self) -> (u32, u32) {
         (self.width.div_ceil(self.block_width), self.height.div_ceil(self.block_height))
+    }
+
+    /// Whether the first band has whole meters that fit in 16 bits with a sign.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        let small = matches!(self.sample, SampleType::U8 | SampleType::I8 | SampleType::I16);
+        small && (self.scale, self.offset) == (1.0, 0.0)
     }
 
     /// Samples of a pixel: bands, and alpha if there is one.

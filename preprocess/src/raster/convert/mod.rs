@@ -1,8 +1,12 @@
-//! Samples to what pages hold: heights in meters, and colors of 8 bits.
+//! Samples to what pages hold: heights in meters, whole or not, and colors of 8 bits.
 //!
-//! Both functions lay a window of a block over planes of a destination whose rows are `stride`
+//! The functions lay a window of a block over planes of a destination whose rows are `stride`
 //! texels apart, and leave those texels as they were that have no data: several rasters over one
 //! another are several calls on planes that were blank at first.
+
+mod whole;
+
+pub use self::whole::whole_heights_into;
 
 use std::ops::Range;
 
@@ -316,7 +320,7 @@ impl Part {
 
 /// Heights of a whole block, NaN where there is no data.
 #[cfg(test)]
-pub(crate) fn whole_heights(block: &Block, info: &RasterInfo) -> Vec<f32> {
+pub(crate) fn all_heights(block: &Block, info: &RasterInfo) -> Vec<f32> {
     let mut heights = vec![f32::NAN; block.width as usize * block.height as usize];
     heights_into(block, info, &Window::of(block), &mut heights, block.width as usize);
     heights
@@ -324,7 +328,7 @@ pub(crate) fn whole_heights(block: &Block, info: &RasterInfo) -> Vec<f32> {
 
 /// Colors of a whole block and their alpha, 0 where there is no data.
 #[cfg(test)]
-pub(crate) fn whole_colors(
+pub(crate) fn all_colors(
     block: &Block,
     info: &RasterInfo,
 ) -> Result<(Vec<[u8; 3]>, Vec<u8>), RasterError> {

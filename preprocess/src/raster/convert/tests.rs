@@ -27,7 +27,7 @@ fn block(samples: Samples) -> Block {
 }
 
 fn heights_of(samples: Samples, info: &RasterInfo) -> Vec<Option<f32>> {
-    let out = whole_heights(&block(samples), info);
+    let out = all_heights(&block(samples), info);
     out.iter().map(|&height| (!height.is_nan()).then_some(height)).collect()
 }
 
@@ -67,7 +67,7 @@ fn heights_beyond_f32_and_under_zero_alpha_are_no_data() {
 }
 
 fn colors_of(samples: Samples, info: &RasterInfo) -> (Vec<[u8; 3]>, Vec<u8>) {
-    whole_colors(&block(samples), info).unwrap()
+    all_colors(&block(samples), info).unwrap()
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn sixteen_bits_round_to_eight_and_a_trace_of_alpha_stays() {
 #[test]
 fn colors_of_other_types_are_refused() {
     let samples = block(Samples::F32(vec![0.0; 4]));
-    let result = whole_colors(&samples, &info(SampleType::F32, 1, false));
+    let result = all_colors(&samples, &info(SampleType::F32, 1, false));
     assert!(result.unwrap_err().to_string().contains("F32"));
 }
 
@@ -129,6 +129,13 @@ fn a_window_is_laid_where_it_belongs_and_nowhere_else() {
             expected[at as usize] = (((row - 20) * 7 + col - 10) * 2) as f32;
         }
         assert_eq!(out, expected, "{window:?}");
+
+        let (mut whole, mut alpha) = ([-1; 50], [9; 50]);
+        let planes = (&mut whole[3..], Some(&mut alpha[3..]));
+        let filled = whole_heights_into(&block, &info, &window, planes.0, planes.1, 9);
+        assert_eq!(filled.unwrap(), Filled::All);
+        assert_eq!(whole.map(f32::from), expected, "{window:?}");
+        assert_eq!(alpha.map(|alpha| alpha == u8::MAX), expected.map(|height| height >= 0.0));
     }
 }
 
@@ -140,6 +147,10 @@ fn what_has_no_data_stays_as_it_was() {
     let window = Window::of(&samples);
     assert_eq!(heights_into(&samples, &height, &window, &mut out, 2), Filled::Part);
     assert_eq!(out, [40.0, 1.0, 2.0, 43.0]);
+    let (mut whole, mut alpha) = ([40, 41, 42, 43], [9; 4]);
+    let filled =
+        whole_heights_into(&samples, &height, &window, &mut whole, Some(&mut alpha), 2).unwrap();
+    assert_eq!((filled, whole, alpha), (Filled::Part, [40, 1, 2, 43], [9, 255, 255, 9]));
     let (mut red, mut green, mut blue, mut alpha) = ([4; 4], [5; 4], [6; 4], [9; 4]);
     let planes = [&mut red[..], &mut green, &mut blue];
     let filled = colors_into(&samples, &height, &window, planes, &mut alpha, 2).unwrap();
@@ -150,6 +161,20 @@ fn what_has_no_data_stays_as_it_was() {
     assert_eq!(heights_into(&samples, &height, &nothing, &mut out, 2), Filled::Nothing);
     height.nodata = None;
     assert_eq!(heights_into(&samples, &height, &nothing, &mut out, 2), Filled::All);
+}
+
+#[test]
+fn whole_heights_are_hidden_by_alpha_and_refused_if_they_are_not_whole() {
+    let mut info = info(SampleType::I8, 1, true);
+    let samples = block(Samples::I8(vec![-1, 0, -2, 3, 3, 0, 4, 4]));
+    let (window, mut heights, mut alpha) = (Window::of(&samples), [40; 4], [9; 4]);
+    let mut laid = |info: &RasterInfo| {
+        whole_heights_into(&samples, info, &window, &mut heights, Some(&mut alpha), 2)
+    };
+    assert_eq!(laid(&info).unwrap(), Filled::Part);
+    info.scale = 2.0;
+    assert!(laid(&info).unwrap_err().to_string().contains("I8"));
+    assert_eq!((heights, alpha), ([40, -2, 40, 4], [9, 255, 9, 255]));
 }
 
 #[test]
@@ -198,7 +223,7 @@ fn every_type_and_scaling_follows_the_rule() {
                     .iter()
                     .map(|&value| expected_height(value, &info).to_bits())
                     .collect());
-                let found = whole_heights(&block, &info).into_iter().map(f32::to_bits);
+                let found = all_heights(&block, &info).into_iter().map(f32::to_bits);
                 assert!(found.eq(expected), "{info:?}");
             }
         }

@@ -2,7 +2,7 @@
 
 use super::builder::{TestTiff, Values, globe, value_at};
 use super::*;
-use crate::raster::convert::{whole_colors, whole_heights};
+use crate::raster::convert::{all_colors, all_heights};
 use crate::raster::samples::{SampleType, Samples};
 use crate::raster::tiff::directory::{ByteOrder, tags};
 
@@ -126,7 +126,7 @@ fn tiles_left_out_are_no_data() {
     let raster = opened(&sparse.clone().with(tags::GDAL_NODATA, Values::Text("-9999"))).unwrap();
     let block = raster.read_block(0, 0).unwrap();
     assert!(numbers(&block).iter().all(|&value| value == -9999.0));
-    let heights = whole_heights(&block, raster.info());
+    let heights = all_heights(&block, raster.info());
     assert!(heights.iter().all(|height| height.is_nan()));
     assert!(numbers(&raster.read_block(1, 0).unwrap()).iter().all(|&value| value >= 0.0));
 
@@ -175,7 +175,7 @@ fn palettes_become_colors_and_their_nodata_alpha() {
 
     let raster = opened(&palette.with(tags::GDAL_NODATA, Values::Text("7"))).unwrap();
     let block = raster.read_block(0, 0).unwrap();
-    let (_, alpha) = whole_colors(&block, raster.info()).unwrap();
+    let (_, alpha) = all_colors(&block, raster.info()).unwrap();
     assert_eq!((alpha[0], alpha[1], alpha[2]), (255, 0, 255));
 }
 

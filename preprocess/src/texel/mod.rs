@@ -1,0 +1,111 @@
+//! What pages are made of: `f32` heights, NaN where invalid, or `i16` heights in whole meters or `u8`
+//! color codes, 0 there.
+//!
+//! Everything from reading to writing is generic over the three, so that each runs at its own width.
+
+mod color;
+mod height;
+mod whole_height;
+
+use areoid_formats::archive::{ConstantTexel, Description};
+use areoid_formats::bound;
+use areoid_formats::codec::{EncodeError, Quantum, Scratch};
+
+/// A leaf's texels, one plane a channel.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Planes {
+    /// Meters, NaN where invalid.
+    Height(Vec<f32>),
+    /// Whole meters, 0 where invalid.
+    WholeHeight(Vec<i16>),
+    /// Red, green and blue codes, 0 where invalid.
+    Color([Vec<u8>; 3]),
+}
+
+/// A texel of one channel.
+pub trait Texel: bound::Texel<Cell: bytemuck::Pod> + bytemuck::Pod + std::fmt::Debug {
+    /// Channels of a page.
+    const CHANNELS: usize;
+    /// What stands where there is no data; coverage says so.
+    const INVALID: Self;
+    /// The least and greatest finest texel where there is none.
+    const NOTHING: (Self, Self);
+
+    /// The planes of a leaf of this kind, whose `alpha` is 0 where a texel is invalid.
+    ///
+    /// # Panics
+    ///
+    /// If they are of another kind.
+    fn channels(planes: Planes, alpha: Option<&[u8]>) -> Vec<Vec<Self>>;
+
+    /// Puts the channels of a leaf on the step, and returns what they were if that changed any;
+    /// `None` if a texel cannot be stored.
+    fn to_step(planes: &mut [Vec<Self>], quantum: Quantum) -> Option<Option<Vec<Vec<Self>>>>;
+
+    /// `value` as it is stored: on the step for heights, a whole code for colors. The value is a
+    /// mean of stored ones.
+    fn stored(value: f64, quantum: Quantum) -> Self;
+
+    /// The mean of one to four valid texels, as it is stored; summed in f64 from the first on, of
+    /// colors the light.
+    fn mean(texels: &[Self], quantum: Quantum) -> Self;
+
+    /// [`Self::mean`] of two by two texels, for each pair of columns of two rows.
+    fn halve(rows: [&[Self]; 2], quantum: Quantum, out: &mut [Self]);
+
+    /// The texel of a page that has no other, as its entry stores it.
+    fn constant(texels: &[Self]) -> ConstantTexel;
+
+    /// The payload of a page, in `payload`.
+    ///
+    /// # Errors
+    ///
+    /// [`EncodeError`] if a texel cannot be stored, which rounding to the step rules out.
+    fn encode(
+        planes: &[Vec<Self>],
+        coverage: Option<&[u8]>,
+        description: &Description,
+        scratch: &mut Scratch,
+        payload: &mut Vec<u8>,
+    ) -> Result<(), EncodeError>;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// The same as of floats.
+        #[test]
+        fn halved_rows_of_whole_heights_are_means(upper: [i16; 6], lower: [i16; 6]) {
+            let meters = Quantum::new(1.0, 0.0).unwrap();
+            let mut halved = [0; 3];
+            i16::halve([&upper, &lower], meters, &mut halved);
+            for (col, texel) in halved.into_iter().enumerate() {
+                let [a, b] = [2 * col, 2 * col + 1];
+                let texels = [upper[a], upper[b], lower[a], lower[b]];
+                let mean = f32::mean(&texels.map(f32::from), meters);
+                prop_assert_eq!(f32::from(texel), mean);
+                prop_assert_eq!(i16::mean(&texels, meters), texel);
+            }
+        }
+
+        #[test]
+        fn halved_rows_are_means(
+            upper: [i16; 6], lower: [i16; 6],
+            step in prop::sample::select(vec![0.0, 1.0, 0.25, 0.1]),
+        ) {
+            let quantum = Quantum::new(step, 0.0).unwrap();
+            let on_step = |row: [i16; 6]| row.map(|texel| f32::stored(f64::from(texel) / 8.0, quantum));
+            let (upper, lower) = (on_step(upper), on_step(lower));
+            let mut halved = [0.0; 3];
+            f32::halve([&upper, &lower], quantum, &mut halved);
+            for (col, texel) in halved.into_iter().enumerate() {
+                let [a, b] = [2 * col, 2 * col + 1];
+                let mean = f32::mean(&[upper[a], upper[b], lower[a], lower[b]], quantum);
+                prop_assert_eq!(texel.to_bits(), mean.to_bits());
+            }
+        }
+    }
+}
