@@ -10,6 +10,7 @@ pub mod schedule;
 
 pub mod texel;
 
+pub mod border;
 pub mod tile;
 
 pub mod feather;

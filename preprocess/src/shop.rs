@@ -17,6 +17,7 @@ use areoid_formats::archive::{Description, PageEntry};
 use areoid_formats::pyramid::Pyramid;
 use rayon::prelude::*;
 
+use crate::border::Border;
 use crate::build_error::BuildError;
 use crate::feather::{self, Validity};
 use crate::frontier::{Frontier, Kept};
@@ -25,7 +26,7 @@ use crate::note::{Note, NotedValidity};
 use crate::schedule::Step;
 use crate::scratch::{Scratch, Slot};
 use crate::texel::Texel;
-use crate::tile::{Border, Raw, Tile};
+use crate::tile::{Raw, Tile};
 use crate::whole::{self, Payloads, Whole, WholeChild};
 
 /// What is under construction.

@@ -19,10 +19,11 @@ use areoid_formats::page::{Page, Texels};
 use areoid_formats::pyramid::Pyramid;
 use rayon::prelude::*;
 
+use crate::border::Border;
 use crate::build::Leaves;
 use crate::raster::RasterError;
 use crate::texel::{Planes, Texel};
-use crate::tile::{Border, Raw, Tile};
+use crate::tile::{Raw, Tile};
 
 /// What a verification found.
 #[derive(Clone, Debug, Default, PartialEq)]
