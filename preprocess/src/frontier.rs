@@ -29,7 +29,7 @@ pub struct Kept<S: Texel> {
     /// Its texels. A leaf that is not settled yet has its alpha for coverage.
     pub tile: Tile<S>,
     /// Its intervals, once it is whole, unless they are all zero.
-    pub cells: Option<Vec<Cells<S::Cell>>>,
+    pub cells: Option<Cells<S::Cell>>,
 }
 
 /// The pages under construction; those without a valid texel are not in it.
@@ -252,7 +252,7 @@ impl<S: Texel> Kept<S> {
                 [&span.least, &span.greatest].map(|ends| bytemuck::cast_slice::<S, u8>(ends)),
             );
         }
-        for cells in self.cells.iter().flatten() {
+        if let Some(cells) = &self.cells {
             arrays.extend(
                 [&cells.low, &cells.high].map(|ends| bytemuck::cast_slice::<S::Cell, u8>(ends)),
             );
@@ -265,7 +265,7 @@ impl<S: Texel> Kept<S> {
         let flags = [original.is_some(), coverage.is_some(), spans.is_some(), self.cells.is_some()];
         let parts = flags.iter().rev().fold(0, |parts, &flag| parts << 1 | u64::from(flag));
         let [side, rows, cols] = [*side, *rows, *cols].map(|size| size as u64);
-        let unit_log2 = self.cells.as_ref().map_or(0, |cells| cells[0].unit_log2.into());
+        let unit_log2 = self.cells.as_ref().map_or(0, |cells| cells.unit_log2.into());
         let mut head = Head { side, rows, cols, parts, unit_log2, range: [[0; 4]; 2] };
         for (bytes, end) in head.range.iter_mut().zip([range.0, range.1]) {
             bytes[..size_of::<S>()].copy_from_slice(bytemuck::bytes_of(&end));
@@ -296,9 +296,10 @@ impl<S: Texel> Kept<S> {
             None
         };
         let cells = if has(3) {
-            let ends = read_arrays(&mut rest, 2 * S::CHANNELS, inside)?;
             let unit_log2 = u32::try_from(head.unit_log2).ok()?;
-            Some(pairs(ends, |low, high| Cells { rows, cols, unit_log2, low, high }))
+            let mut ends = || read_arrays(&mut rest, 1, inside)?.pop();
+            let (low, high) = (ends()?, ends()?);
+            Some(Cells { rows, cols, unit_log2, low, high })
         } else {
             None
         };
@@ -355,7 +356,7 @@ mod tests {
                 spans: has(2).then(|| (0..S::CHANNELS).map(span).collect()),
                 range: (texels(1), texels(2)),
             },
-            cells: has(3).then(|| vec![cells; S::CHANNELS]),
+            cells: has(3).then_some(cells),
         }
     }
 

@@ -39,6 +39,11 @@ pub fn parent<S: Texel>(
         return None;
     }
     let mut tile = Tile::blank(side, size);
+    let full = children.iter().filter(|(_, child)| child.coverage.is_none());
+    let covered = full.map(|(_, child)| child.rows.div_ceil(2) * child.cols.div_ceil(2));
+    if covered.sum::<usize>() == size.0 * size.1 {
+        tile.coverage = None;
+    }
     if spans == Spans::Kept {
         tile.spans = Some(vec![nothing(side * side); S::CHANNELS]);
     }
@@ -49,7 +54,7 @@ pub fn parent<S: Texel>(
             halve_row(&mut tile, to, child, child_row, quantum);
         }
     }
-    let coverage = tile.coverage.as_ref()?;
+    let Some(coverage) = &tile.coverage else { return Some(tile) };
     let all = |wanted: u8| {
         (0..size.0).all(|row| coverage[tile.row(row)].iter().all(|&code| code == wanted))
     };
@@ -92,10 +97,10 @@ fn halve_row<S: Texel>(
             fold_pairs(rows, &mut spans[channel].greatest[part], lanes::greatest);
         }
     }
-    let codes = parent.coverage.as_mut().expect("a blank tile has coverage");
-    match &child.coverage {
-        None => codes[to..to + simple].fill(u8::MAX),
-        Some(coverage) => {
+    match (&mut parent.coverage, &child.coverage) {
+        (None, _) => {}
+        (Some(codes), None) => codes[to..to + simple].fill(u8::MAX),
+        (Some(codes), Some(coverage)) => {
             let pairs = coverage[upper.clone()].as_chunks::<2>().0.iter();
             let pairs = pairs.zip(coverage[lower.clone()].as_chunks::<2>().0);
             for (code, (&[a, b], &[c, d])) in codes[to..to + simple].iter_mut().zip(pairs) {
@@ -162,8 +167,9 @@ fn one_texel<S: Texel>(
     let code_at = |at: usize| child.coverage.as_ref().map_or(u8::MAX, |codes| codes[at]);
     let mut codes = [0; 4];
     places.iter().zip(&mut codes).for_each(|(&at, code)| *code = code_at(at));
-    parent.coverage.as_mut().expect("a blank tile has coverage")[to] =
-        mean_coverage(&codes[..count]);
+    if let Some(coverage) = &mut parent.coverage {
+        coverage[to] = mean_coverage(&codes[..count]);
+    }
 
     for channel in 0..S::CHANNELS {
         let mut valid = [S::INVALID; 4];

@@ -343,7 +343,7 @@ impl<'a, S: Texel> Shop<'a, S> {
                 let (row, col) = place_of(child);
                 let entry = self.entries.get(&child)?;
                 let Kept { tile, cells } = self.frontier.get(child)?;
-                Some(WholeChild { row, col, tile, cells: cells.as_deref(), entry })
+                Some(WholeChild { row, col, tile, cells: cells.as_ref(), entry })
             })
             .collect();
         whole::finish(self.description, page, tile, &children, payloads)

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use areoid_formats::address::PageAddress;
 use areoid_formats::archive::{Description, PageEntry, Payload};
-use areoid_formats::bound::{self, Cells, Child, Span};
+use areoid_formats::bound::{self, Cells, Child, Family, Span};
 use areoid_formats::codec::{EncodeError, Scratch};
 use areoid_formats::lanes::{self, greatest, least};
 
@@ -19,8 +19,8 @@ pub struct Whole<S: Texel> {
     pub entry: PageEntry,
     /// Stored bytes; empty for a constant page.
     pub payload: Vec<u8>,
-    /// Intervals of `R_l − R_L`, one a channel; `None` if they are all zero.
-    pub cells: Option<Vec<Cells<S::Cell>>>,
+    /// Intervals of `R_l − R_L`; `None` if they are all zero.
+    pub cells: Option<Cells<S::Cell>>,
     /// What [`Tile::range`] is now.
     pub range: (S, S),
 }
@@ -35,7 +35,7 @@ pub struct WholeChild<'a, S: Texel> {
     /// The page with its border.
     pub tile: &'a Tile<S>,
     /// Its intervals.
-    pub cells: Option<&'a [Cells<S::Cell>]>,
+    pub cells: Option<&'a Cells<S::Cell>>,
     /// Its entry.
     pub entry: &'a PageEntry,
 }
@@ -74,7 +74,7 @@ pub fn finish<S: Texel>(
         let ranges = children.iter().map(|child| child.tile.range).fold(range, union);
         Some(parent_cells(description, page, tile, children, ranges))
     };
-    let own_bound = cells.iter().flatten().map(Cells::bound::<S>).fold(0.0, f32::max);
+    let own_bound = cells.as_ref().map_or(0.0, Cells::bound::<S>);
     let figures = Figures::of(tile, children, (interior, range));
     let (stored, payload) = match payloads {
         Payloads::Made => encode(description, tile)?,
@@ -96,12 +96,9 @@ pub fn finish<S: Texel>(
 }
 
 /// The intervals of a leaf: zero but where its texels were rounded, which only heights are.
-fn leaf_cells<S: Texel>(tile: &Tile<S>) -> Option<Vec<Cells<S::Cell>>> {
-    let original = tile.original.as_ref()?;
-    let channels = original.iter().enumerate().map(|(channel, original)| {
-        bound::leaf_cells(window(tile, channel, None), original, (tile.rows, tile.cols))
-    });
-    Some(channels.collect())
+fn leaf_cells<S: Texel>(tile: &Tile<S>) -> Option<Cells<S::Cell>> {
+    let original = &tile.original.as_ref()?[0];
+    Some(bound::leaf_cells(window(tile, 0, None), original, (tile.rows, tile.cols)))
 }
 
 fn parent_cells<S: Texel>(
@@ -110,41 +107,30 @@ fn parent_cells<S: Texel>(
     tile: &Tile<S>,
     children: &[WholeChild<'_, S>],
     range: (S, S),
-) -> Vec<Cells<S::Cell>> {
+) -> Cells<S::Cell> {
     let children_are_leaves = page.level.finer() == description.grid.pyramid().finest();
-    (0..S::CHANNELS)
-        .map(|channel| {
-            // A leaf's own texels before rounding are its span.
-            let originals: Vec<Option<Span<S>>> = children
-                .iter()
-                .map(|child| {
-                    let original = &child.tile.original.as_ref()?[channel];
-                    Some(Span { least: original.clone(), greatest: original.clone() })
-                })
-                .collect();
-            let children: Vec<Child<'_, S>> = children
-                .iter()
-                .zip(&originals)
-                .map(|(child, original)| {
-                    let spans = child.tile.spans.as_ref().map(|spans| &spans[channel]);
-                    Child {
-                        row: child.row,
-                        col: child.col,
-                        window: window(child.tile, channel, spans.or(original.as_ref())),
-                        size: (child.tile.rows, child.tile.cols),
-                        finest: children_are_leaves,
-                        cells: child.cells.map(|cells| &cells[channel]),
-                    }
-                })
-                .collect();
-            bound::parent_cells(
-                window(tile, channel, None),
-                (tile.rows, tile.cols),
-                &children,
-                range,
-            )
-        })
-        .collect()
+    // A leaf's own texels before rounding are its span.
+    let span = |plane: &Vec<S>| Span { least: plane.clone(), greatest: plane.clone() };
+    let originals: Vec<Option<Vec<Span<S>>>> = children
+        .iter()
+        .map(|child| Some(child.tile.original.as_ref()?.iter().map(span).collect()))
+        .collect();
+    let family = |channel: usize| {
+        let children = children.iter().zip(&originals).map(|(child, original)| {
+            let spans = child.tile.spans.as_ref().or(original.as_ref());
+            Child {
+                row: child.row,
+                col: child.col,
+                window: window(child.tile, channel, spans.map(|spans| &spans[channel])),
+                size: (child.tile.rows, child.tile.cols),
+                finest: children_are_leaves,
+                cells: child.cells,
+            }
+        });
+        Family { parent: window(tile, channel, None), children: children.collect() }
+    };
+    let channels: Vec<Family<'_, S>> = (0..S::CHANNELS).map(family).collect();
+    bound::parent_cells(&channels, (tile.rows, tile.cols), range)
 }
 
 fn window<'a, S>(

@@ -31,7 +31,7 @@ impl<'a, S: Texel> Holes<'a, S> {
     pub(super) fn mend(
         &mut self,
         row: usize,
-        (known_low, known_high): (&[S::Cell], &[S::Cell]),
+        known: Option<(&[S::Cell], &[S::Cell])>,
         Row { low, high }: &mut Row<S>,
     ) {
         let interior = self.parent.side - 2;
@@ -58,8 +58,8 @@ impl<'a, S: Texel> Holes<'a, S> {
             let (least, greatest) = if nothing {
                 (f64::INFINITY, f64::NEG_INFINITY)
             } else {
-                let known =
-                    [known_low[col], known_high[col]].map(|end| S::end(end, self.terms.known_log2));
+                let end = |end: S::Cell| S::end(end, self.terms.known_log2);
+                let known = known.map_or([0.0; 2], |(low, high)| [end(low[col]), end(high[col])]);
                 self.careful(row, col, known)
             };
             (low[col], high[col]) = S::outward(least, greatest, self.terms.unit_log2);

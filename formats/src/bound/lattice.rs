@@ -9,7 +9,7 @@
 //!             |------o------|---------------o---------------|---
 //!    point    edge   center  edge           center          edge
 //!    16 R_l   2A+2B  A+3B    4B             3B+D            2B+2D
-//!    16 R_l+1 4 (f of both sides) at an edge, 8 f at a center
+//!    16 R_l+1 4 f of both sides at an edge, 8 f at a center
 //! ```
 
 use super::interval::{Number, Row, Terms, Texel};
@@ -65,21 +65,30 @@ impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
     }
 
     /// Least and greatest difference in the cells of the current row, each added to what is known of
-    /// it.
+    /// it, if that is not zero.
     #[inline(always)]
     pub(super) fn intervals(
         &self,
-        known: (&[S::Cell], &[S::Cell]),
+        known: Option<(&[S::Cell], &[S::Cell])>,
         Row { low, high }: &mut Row<S>,
     ) {
         let terms = self.terms;
         let [top, middle, bottom] = &self.rows;
-        let rows = top.low.iter().zip(&middle.low).zip(&bottom.low);
-        for ((low, ((&a, &b), &c)), &known) in low.iter_mut().zip(rows).zip(known.0) {
+        let lows = || top.low.iter().zip(&middle.low).zip(&bottom.low);
+        let highs = || top.high.iter().zip(&middle.high).zip(&bottom.high);
+        let Some(known) = known else {
+            for (low, ((&a, &b), &c)) in low.iter_mut().zip(lows()) {
+                *low = least(least(a, b), c).low(S::ZERO, terms);
+            }
+            for (high, ((&a, &b), &c)) in high.iter_mut().zip(highs()) {
+                *high = greatest(greatest(a, b), c).high(S::ZERO, terms);
+            }
+            return;
+        };
+        for ((low, ((&a, &b), &c)), &known) in low.iter_mut().zip(lows()).zip(known.0) {
             *low = least(least(a, b), c).low(known, terms);
         }
-        let rows = top.high.iter().zip(&middle.high).zip(&bottom.high);
-        for ((high, ((&a, &b), &c)), &known) in high.iter_mut().zip(rows).zip(known.1) {
+        for ((high, ((&a, &b), &c)), &known) in high.iter_mut().zip(highs()).zip(known.1) {
             *high = greatest(greatest(a, b), c).high(known, terms);
         }
     }
@@ -99,7 +108,7 @@ impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
         for ((q, &a), &b) in self.coarse.iter_mut().zip(upper).zip(lower) {
             *q = T::from_texel(a, base) * above + T::from_texel(b, base) * below;
         }
-        let [two, three, four, eight] = [2, 3, 4, 8].map(T::from_weight);
+        let [two, three, four] = [2, 3, 4].map(T::from_weight);
         let pairs = self.edges.as_chunks_mut::<2>().0.iter_mut();
         let pairs = pairs.zip(self.centers.as_chunks_mut::<2>().0);
         let (q0, q1, q2) = (&self.coarse[..], &self.coarse[1..], &self.coarse[2..]);
@@ -112,10 +121,10 @@ impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
         let upper = &self.child.window.texels[top * side..][..side];
         let lower = &self.child.window.texels[bottom * side..][..side];
         for ((f, &a), &b) in self.fine.iter_mut().zip(upper).zip(lower) {
-            *f = T::from_texel(a, base) + T::from_texel(b, base);
+            *f = (T::from_texel(a, base) + T::from_texel(b, base)) * four;
         }
         for ((edge, &a), &b) in self.edges.iter_mut().zip(&self.fine).zip(&self.fine[1..]) {
-            *edge = *edge - (a + b) * four;
+            *edge = *edge - (a + b);
         }
         let Extremes { low, high } = &mut self.rows[half];
         let edges = self.edges[..cols].iter().zip(&self.edges[1..=cols]);
@@ -123,7 +132,7 @@ impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
         for (((low, high), (&left, &right)), (&center, &fine)) in
             low.iter_mut().zip(high).zip(edges).zip(centers)
         {
-            let center = center - fine * eight;
+            let center = center - fine * two;
             *low = least(least(left, right), center);
             *high = greatest(greatest(left, right), center);
         }

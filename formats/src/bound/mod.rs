@@ -102,11 +102,22 @@ pub struct Child<'a, S: Texel> {
     pub size: (usize, usize),
     /// Whether it is of the finest level: where a tap of it is missing, law 1 is silent.
     pub finest: bool,
-    /// Its intervals; `None` if they are all zero, as for leaves stored without loss.
+    /// Its intervals, those of all channels; `None` if they are all zero, as for leaves stored
+    /// without loss.
     pub cells: Option<&'a Cells<S::Cell>>,
 }
 
-/// The intervals of a page from those of its children.
+/// A page and its children in one channel.
+#[derive(Clone, Debug)]
+pub struct Family<'a, S: Texel> {
+    /// The page.
+    pub parent: Window<'a, S>,
+    /// Its children.
+    pub children: Vec<Child<'a, S>>,
+}
+
+/// The intervals of a page from those of its children: for each cell one that holds for all
+/// channels.
 ///
 /// # Shapes
 ///
@@ -114,18 +125,20 @@ pub struct Child<'a, S: Texel> {
 /// of a window or of its span is less or greater than `range`.
 #[must_use]
 pub fn parent_cells<S: Texel>(
-    parent: Window<'_, S>,
+    channels: &[Family<'_, S>],
     size: (usize, usize),
-    children: &[Child<'_, S>],
     range: (S, S),
 ) -> Cells<S::Cell> {
-    let known = children.iter().filter_map(|child| child.cells);
+    let known = channels.first().into_iter().flat_map(|channel| &channel.children);
+    let known = known.filter_map(|child| child.cells);
     let bound = known.clone().map(Cells::bound::<S>).fold(0.0, f32::max);
     let finer = known.map(|cells| cells.unit_log2).max().unwrap_or(0);
     let unit_log2 = S::unit_log2(range, bound.into()).max(finer);
     let mut cells = Cells::empty::<S>(size.0, size.1, unit_log2);
-    for child in children {
-        S::widen_by_child(&mut cells, parent, child, range);
+    for Family { parent, children } in channels {
+        for child in children {
+            S::widen_by_child(&mut cells, *parent, child, range);
+        }
     }
     cells
 }
@@ -162,12 +175,8 @@ impl<S: Texel, T: interval::Number<S>> Wide for Widening<'_, S, T> {
         let mut holes = holes::Holes::new(parent, *child, terms);
         let mut pair = interval::Row::<S>::empty(cols);
         let mut lower = interval::Row::<S>::empty(cols);
-        let zeros = vec![S::ZERO; cols];
         for row in 0..rows {
-            let known = match child.cells {
-                Some(cells) => cells.row(row),
-                None => (&zeros[..], &zeros[..]),
-            };
+            let known = child.cells.map(|cells| cells.row(row));
             let intervals = if row % 2 == 0 { &mut pair } else { &mut lower };
             lattice.advance(row);
             lattice.intervals(known, intervals);

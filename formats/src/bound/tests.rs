@@ -7,14 +7,14 @@ const INTERIOR: usize = SIDE - 2;
 
 /// A parent and its four children, texels drawn anew for each.
 #[derive(Clone, Debug)]
-struct Family<S> {
+struct Texels<S> {
     parent: Vec<S>,
     children: Vec<Vec<S>>,
     /// Rows and columns of the lower right child; the others are whole.
     cut: (usize, usize),
 }
 
-impl<S: Texel> Family<S> {
+impl<S: Texel> Texels<S> {
     fn parent(&self) -> Window<'_, S> {
         Window { side: SIDE, texels: &self.parent, coverage: None, span: None }
     }
@@ -45,7 +45,8 @@ impl<S: Texel> Family<S> {
     }
 
     fn cells(&self) -> Cells<S::Cell> {
-        parent_cells(self.parent(), self.size(), &self.children(), self.range())
+        let family = Family { parent: self.parent(), children: self.children() };
+        parent_cells(&[family], self.size(), self.range())
     }
 
     fn size(&self) -> (usize, usize) {
@@ -55,11 +56,11 @@ impl<S: Texel> Family<S> {
 
 fn family<S: Texel + Arbitrary>(
     texel: impl Strategy<Value = S> + Clone,
-) -> impl Strategy<Value = Family<S>> {
+) -> impl Strategy<Value = Texels<S>> {
     let window = || prop::collection::vec(texel.clone(), SIDE * SIDE);
     let cut = 1..=INTERIOR;
     (window(), prop::collection::vec(window(), 4), (cut.clone(), cut))
-        .prop_map(|(parent, children, cut)| Family { parent, children, cut })
+        .prop_map(|(parent, children, cut)| Texels { parent, children, cut })
 }
 
 /// The reconstruction of a window at a point in its own texels, the first one's center at (½, ½).
@@ -83,7 +84,7 @@ fn reconstruct<S: Texel>(window: Window<'_, S>, row: f64, col: f64) -> f64 {
 }
 
 /// Every cell's interval by reconstructing both levels at nine points of each child cell.
-fn by_the_book<S: Texel>(family: &Family<S>) -> Vec<Vec<(f64, f64)>> {
+fn by_the_book<S: Texel>(family: &Texels<S>) -> Vec<Vec<(f64, f64)>> {
     let (rows, cols) = family.size();
     let mut cells = vec![vec![(f64::INFINITY, f64::NEG_INFINITY); cols]; rows];
     for child in family.children() {
@@ -113,7 +114,7 @@ fn ends<S: Texel>(cells: &Cells<S::Cell>) -> Vec<Vec<(f64, f64)>> {
 }
 
 /// The same, in the arithmetic of `T`, whatever the texels.
-fn in_arithmetic<S: Texel, T: Number<S>>(family: &Family<S>, base: S) -> Cells<S::Cell> {
+fn in_arithmetic<S: Texel, T: Number<S>>(family: &Texels<S>, base: S) -> Cells<S::Cell> {
     let (rows, cols) = family.size();
     let mut cells = Cells::empty::<S>(rows, cols, 0);
     for child in family.children() {
@@ -123,7 +124,7 @@ fn in_arithmetic<S: Texel, T: Number<S>>(family: &Family<S>, base: S) -> Cells<S
 }
 
 /// Whole heights that span at most 2000 m, anywhere.
-fn close_heights() -> impl Strategy<Value = Family<i16>> {
+fn close_heights() -> impl Strategy<Value = Texels<i16>> {
     (family(0_i16..=2000), i16::MIN..=i16::MAX - 2000).prop_map(|(mut family, from)| {
         let texels = family.children.iter_mut().flatten().chain(&mut family.parent);
         texels.for_each(|texel| *texel += from);
@@ -165,6 +166,18 @@ proptest! {
     }
 
     #[test]
+    fn channels_have_the_intervals_of_all_of_them(one in family(any::<u8>()), other in family(any::<u8>())) {
+        let other = Texels { cut: one.cut, ..other };
+        let of = |texels: &Texels<u8>| by_the_book(texels).concat();
+        let joint = of(&one).into_iter().zip(of(&other));
+        let joint: Vec<_> = joint.map(|(a, b)| (a.0.min(b.0), a.1.max(b.1))).collect();
+        let channels = [&one, &other]
+            .map(|texels| Family { parent: texels.parent(), children: texels.children() });
+        let cells = parent_cells(&channels, one.size(), (0, 255));
+        prop_assert_eq!(ends::<u8>(&cells).concat(), joint);
+    }
+
+    #[test]
     fn other_heights_lie_in_their_intervals(family in family(-1e4_f32..1e4)) {
         let found = ends::<f32>(&family.cells()).concat();
         let slack = slack(&found, &by_the_book(&family).concat());
@@ -180,7 +193,10 @@ proptest! {
         known.low.fill(low);
         known.high.fill(high);
         let own = family.child(0, 0);
-        let cells = |child| parent_cells(family.parent(), (5, 5), &[child], family.range());
+        let cells = |child| {
+            let pair = Family { parent: family.parent(), children: vec![child] };
+            parent_cells(&[pair], (5, 5), family.range())
+        };
         let (without, with) = (cells(own), cells(Child { cells: Some(&known), ..own }));
         let by = [low, high].map(|end| i16::end(end, unit_log2));
         let moved = |&(low, high): &(f64, f64)| (low + by[0], high + by[1]);
@@ -205,7 +221,7 @@ proptest! {
             coverage[which][at] = 0;
             if which == 4 { other.parent[at] = texel } else { other.children[which][at] = texel }
         }
-        let cells = |family: &Family<i16>| {
+        let cells = |family: &Texels<i16>| {
             let cover = |window, which: usize| Window { coverage: Some(&coverage[which]), ..window };
             let children: Vec<_> = (0..4)
                 .map(|which| {
@@ -213,7 +229,8 @@ proptest! {
                     Child { window: cover(child.window, which), ..child }
                 })
                 .collect();
-            parent_cells(cover(family.parent(), 4), family.size(), &children, range)
+            let parent = cover(family.parent(), 4);
+            parent_cells(&[Family { parent, children }], family.size(), range)
         };
         prop_assert_eq!(cells(&family), cells(&other));
     }

@@ -23,9 +23,12 @@ impl Leaves for Mosaic {
             return Ok(None);
         }
         let side = pyramid.page_side() as usize;
-        let covers =
+        let solid =
             |(part, overlap): &(&Part, Overlap)| part.is_solid() && overlap.len() == place.len();
-        let mut raw = self.blank(side, overlaps.iter().any(covers));
+        // Other alpha than opaque and none comes from rasters that have it.
+        let hazy = |(part, _): &(&Part, Overlap)| part.raster.info().has_alpha;
+        let covered = overlaps.iter().any(solid) && !overlaps.iter().any(hazy);
+        let mut raw = self.blank(side, covered);
         let mut is_opaque = false;
         for (part, overlap) in overlaps {
             let filled = part.read_into(&mut raw, side, place, &overlap)?;
@@ -83,7 +86,8 @@ impl Mosaic {
                 Raw { planes: Planes::Height(vec![blank; side * side]), alpha: None }
             }
             Kind::Color | Kind::Normal => {
-                Raw { planes: Planes::Color([plane(), plane(), plane()]), alpha: Some(plane()) }
+                let planes = Planes::Color([plane(), plane(), plane()]);
+                Raw { planes, alpha: (!covered).then(plane) }
             }
         }
     }
@@ -201,8 +205,8 @@ impl Part {
                 }
                 Planes::Color(planes) => {
                     let planes = planes.each_mut().map(|plane| &mut plane[at..]);
-                    let alpha = raw.alpha.as_mut().expect("colors are read with their alpha");
-                    colors_into(&block, info, &window, planes, &mut alpha[at..], side)?
+                    let alpha = raw.alpha.as_mut().map(|alpha| &mut alpha[at..]);
+                    colors_into(&block, info, &window, planes, alpha, side)?
                 }
             };
             all = Some(match all {

@@ -31,8 +31,9 @@ impl Texel for u8 {
 
     fn mean(texels: &[Self], _: Quantum) -> Self {
         let light = &*LIGHT;
-        let sum: f64 = texels.iter().map(|&code| light.linear[usize::from(code)]).sum();
-        light.code(sum / texels.len() as f64)
+        let sum: u32 = texels.iter().map(|&code| light.linear[usize::from(code)]).sum();
+        let count = u32::try_from(texels.len()).expect("one to four");
+        light.code(4 * sum / count)
     }
 
     fn halve([upper, lower]: [&[Self]; 2], _: Quantum, out: &mut [Self]) {
@@ -40,7 +41,7 @@ impl Texel for u8 {
         let pairs = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
         for (out, (&[a, b], &[c, d])) in out.iter_mut().zip(pairs) {
             let [a, b, c, d] = [a, b, c, d].map(|code| light.linear[usize::from(code)]);
-            *out = light.code((a + b + c + d) * 0.25);
+            *out = light.code(a + b + c + d);
         }
     }
 
@@ -61,46 +62,61 @@ impl Texel for u8 {
     }
 }
 
-/// The light of each sRGB code, and the light half-way (in code) between neighboring codes.
+/// The light of each sRGB code, and the code of four lights.
 ///
 /// # References
 ///
 /// IEC 61966-2-1, the sRGB transfer function.
 struct Light {
-    linear: [f64; 256],
-    /// The last one is never reached.
-    steps: [f64; 256],
-    /// For the start of each span of light, how many steps lie below it.
-    below: [u8; SPANS],
+    /// Light of each code, white's being [`WHITE`].
+    linear: [u32; 256],
+    /// For each span of sums of four lights the code at its start, in the lowest byte, and above it
+    /// the least sum that has the next code.
+    spans: [u32; SPANS],
 }
 
-/// Spans of light, each narrower than the least distance of two steps, 1/(255 · 12.92).
-const SPANS: usize = 4096;
+/// A thousandth of the narrowest code's light, or finer.
+const WHITE: u32 = (1 << 22) - 1;
+
+/// Spans of sums below 2^24, each narrower than the least distance, half-way between codes, of two
+/// steps, 2^24/(255 · 12.92).
+const SPANS: usize = 1 << (24 - SPAN_LOG2);
+
+const SPAN_LOG2: u32 = 12;
 
 impl Light {
-    /// The code whose span holds `light`: how many steps lie below it.
+    /// The code nearest the mean of four lights with this sum, at most four times [`WHITE`].
     #[inline]
-    fn code(&self, light: f64) -> u8 {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 1")]
-        let span = ((light * SPANS as f64) as usize).min(SPANS - 1);
-        let code = self.below[span];
+    fn code(&self, sum: u32) -> u8 {
+        let span = self.spans[(sum >> SPAN_LOG2) as usize];
         // At most one step lies in a span.
-        code + u8::from(self.steps[usize::from(code)] < light)
+        let [code, ..] = span.to_le_bytes();
+        code + u8::from(sum >= span >> 8)
     }
 }
 
+/// Light of a code from 0 to 255, from 0 to 1.
+fn light_of(code: f64) -> f64 {
+    let encoded = code / 255.0;
+    if encoded <= 0.040_45 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
+}
+
 static LIGHT: LazyLock<Light> = LazyLock::new(|| {
-    let linear = |code: f64| {
-        let encoded = code / 255.0;
-        if encoded <= 0.040_45 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "below 2^24")]
+    let units = |light: f64| (light * f64::from(WHITE)).round() as u32;
+    // The least sum of each code but the first, and one that there is not.
+    let mut least: Vec<u32> =
+        (0..255).map(|code| units(4.0 * light_of(f64::from(code) + 0.5))).collect();
+    least.push((1 << 24) - 1);
+    let span = |span: usize| {
+        let start = u32::try_from(span << SPAN_LOG2).expect("below 2^24");
+        let code = least.partition_point(|&least| least <= start);
+        least[code] << 8 | u32::try_from(code).expect("at most 255")
     };
-    let mut steps: [f64; 256] = std::array::from_fn(|code| linear(code as f64 + 0.5));
-    steps[255] = f64::INFINITY;
-    let below = std::array::from_fn(|span| {
-        let start = span as f64 / SPANS as f64;
-        u8::try_from(steps.partition_point(|&step| step < start)).expect("at most 255")
-    });
-    Light { linear: std::array::from_fn(|code| linear(code as f64)), steps, below }
+    Light {
+        linear: std::array::from_fn(|code| units(light_of(code as f64))),
+        spans: std::array::from_fn(span),
+    }
 });
 
 #[cfg(test)]
@@ -112,25 +128,36 @@ mod tests {
     fn colors_are_averaged_in_linear_light() {
         // Half the light of white is code 188 in sRGB, not 128.
         assert_eq!(u8::mean(&[0, 255], Quantum::NONE), 188);
-        assert_eq!(u8::mean(&[7; 4], Quantum::NONE), 7);
+        assert_eq!(u8::mean(&[7; 3], Quantum::NONE), 7);
     }
 
     #[test]
     fn every_code_comes_back_from_its_own_light() {
         for code in 0..=255 {
-            assert_eq!(LIGHT.code(LIGHT.linear[usize::from(code)]), code);
+            assert_eq!(u8::mean(&[code; 4], Quantum::NONE), code);
         }
     }
 
     proptest! {
         #[test]
-        fn a_code_is_the_number_of_steps_below(light in 0.0..=1.0_f64, code in 0..255_usize) {
-            let step = LIGHT.steps[code];
-            for light in [light, step, step.next_up(), step.next_down()] {
-                let below = LIGHT.steps.iter().filter(|&&step| step < light).count();
-                prop_assert_eq!(usize::from(LIGHT.code(light)), below);
-            }
+        fn a_code_is_the_nearest_to_the_mean_light(codes: [u8; 4]) {
+            let mean = codes.iter().map(|&code| light_of(code.into())).sum::<f64>() / 4.0;
+            let code = f64::from(u8::mean(&codes, Quantum::NONE));
+            // Lights are rounded to units, and so are the steps between codes.
+            let slack = 1.5 / f64::from(WHITE);
+            prop_assert!(code == 0.0 || light_of(code - 0.5) <= mean + slack);
+            prop_assert!(code == 255.0 || mean - slack <= light_of(code + 0.5));
         }
 
+        #[test]
+        fn a_row_has_the_codes_of_its_texels(upper: [u8; 8], lower: [u8; 8]) {
+            let mut halved = [0; 4];
+            u8::halve([&upper, &lower], Quantum::NONE, &mut halved);
+            for (col, code) in halved.into_iter().enumerate() {
+                let [a, b] = [2 * col, 2 * col + 1];
+                let mean = u8::mean(&[upper[a], upper[b], lower[a], lower[b]], Quantum::NONE);
+                prop_assert_eq!(code, mean);
+            }
+        }
     }
 }

@@ -10,6 +10,8 @@ pub use self::whole::whole_heights_into;
 
 use std::ops::Range;
 
+use areoid_formats::lanes;
+
 use super::error::RasterError;
 use super::samples::{Sample, SampleType, Samples, with_samples};
 use super::{Block, RasterInfo};
@@ -134,8 +136,8 @@ fn lay<S>(
 /// three times.
 ///
 /// What has no data is left as it was: where the file's own alpha is 0, or where every color band
-/// equals the no-data value. Elsewhere alpha becomes the file's, at least 1, or 255. Samples of 16
-/// bits become the nearest of 8.
+/// equals the no-data value. Elsewhere alpha, where it is wanted, becomes the file's, at least 1, or
+/// 255. Samples of 16 bits become the nearest of 8.
 ///
 /// # Shapes
 ///
@@ -154,12 +156,12 @@ pub fn colors_into(
     info: &RasterInfo,
     window: &Window,
     planes: [&mut [u8]; 3],
-    alpha: &mut [u8],
+    alpha: Option<&mut [u8]>,
     stride: usize,
 ) -> Result<Filled, RasterError> {
     let part = Part::new(block, info, window, stride);
     planes.iter().for_each(|plane| part.check(plane.len()));
-    part.check(alpha.len());
+    alpha.iter().for_each(|alpha| part.check(alpha.len()));
     let to = Colors { planes, alpha };
     Ok(match &block.samples {
         Samples::U8(values) => colors(values, &part, info, |value| value, to),
@@ -175,7 +177,7 @@ pub fn colors_into(
 /// Where colors are laid.
 struct Colors<'out> {
     planes: [&'out mut [u8]; 3],
-    alpha: &'out mut [u8],
+    alpha: Option<&'out mut [u8]>,
 }
 
 fn colors<T: Sample>(
@@ -190,25 +192,29 @@ fn colors<T: Sample>(
     let places = if bands >= 3 { [0, 1, 2] } else { [0; 3] };
     let always_opaque = nodata.is_none() && !info.has_alpha;
     let (mut written, mut opaque) = (0, 0);
-    let [reds, greens, blues] = to.planes.map(|plane| plane.chunks_mut(part.stride));
-    let rows = reds.zip(greens).zip(blues).zip(to.alpha.chunks_mut(part.stride));
-    for (line, (((red, green), blue), alpha)) in part.lines(values).zip(rows) {
-        let [red, green, blue, alpha] = [red, green, blue, alpha].map(|row| &mut row[..part.width]);
+    let Colors { planes: [reds, greens, blues], alpha: mut alphas } = to;
+    for (row, line) in part.lines(values).enumerate() {
+        let row = row * part.stride..row * part.stride + part.width;
+        let [red, green, blue] = [&mut *reds, greens, blues].map(|plane| &mut plane[row.clone()]);
+        let alpha = alphas.as_mut().map(|alpha| &mut alpha[row]);
         if always_opaque {
+            let planes = [red, green, blue];
             match part.samples {
-                1 => split::<T, 1>(line, [0; 3], &byte, [red, green, blue]),
-                3 => split::<T, 3>(line, places, &byte, [red, green, blue]),
+                1 => split::<T, 1>(line, [0; 3], &byte, planes),
+                3 => lanes::vectorized(Split { line, places, byte: &byte, planes }),
                 _ => {
+                    let [red, green, blue] = planes;
                     for (index, pixel) in line.chunks_exact(part.samples).enumerate() {
                         let [r, g, b] = places.map(|place| byte(pixel[place]));
                         (red[index], green[index], blue[index]) = (r, g, b);
                     }
                 }
             }
-            alpha.fill(255);
+            alpha.into_iter().for_each(|alpha| alpha.fill(255));
             (written, opaque) = (written + part.width, opaque + part.width);
             continue;
         }
+        let mut alpha = alpha;
         for (index, pixel) in line.chunks_exact(part.samples).enumerate() {
             let empty =
                 nodata.is_some_and(|nodata| pixel[..bands].iter().all(|&band| band == nodata));
@@ -221,13 +227,32 @@ fn colors<T: Sample>(
             if !empty && opacity > 0 {
                 let [r, g, b] = places.map(|place| byte(pixel[place]));
                 (red[index], green[index], blue[index]) = (r, g, b);
-                alpha[index] = opacity;
+                if let Some(alpha) = &mut alpha {
+                    alpha[index] = opacity;
+                }
                 written += 1;
                 opaque += usize::from(opacity == 255);
             }
         }
     }
     part.filled(written, opaque)
+}
+
+/// [`split`] of pixels of three samples in wide vectors.
+struct Split<'a, T, B> {
+    line: &'a [T],
+    places: [usize; 3],
+    byte: &'a B,
+    planes: [&'a mut [u8]; 3],
+}
+
+impl<T: Copy, B: Fn(T) -> u8> lanes::Wide for Split<'_, T, B> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        split::<T, 3>(self.line, self.places, self.byte, self.planes);
+    }
 }
 
 /// Splits pixels of a fixed number of samples into planes.
@@ -335,7 +360,7 @@ pub(crate) fn all_colors(
     let [mut red, mut green, mut blue, mut alpha] =
         std::array::from_fn(|_| vec![0; block.width as usize * block.height as usize]);
     let planes = [&mut red[..], &mut green, &mut blue];
-    colors_into(block, info, &Window::of(block), planes, &mut alpha, block.width as usize)?;
+    colors_into(block, info, &Window::of(block), planes, Some(&mut alpha), block.width as usize)?;
     let colors = red.iter().zip(green).zip(blue).map(|((&red, green), blue)| [red, green, blue]);
     Ok((colors.collect(), alpha))
 }

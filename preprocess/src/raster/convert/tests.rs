@@ -153,7 +153,7 @@ fn what_has_no_data_stays_as_it_was() {
     assert_eq!((filled, whole, alpha), (Filled::Part, [40, 1, 2, 43], [9, 255, 255, 9]));
     let (mut red, mut green, mut blue, mut alpha) = ([4; 4], [5; 4], [6; 4], [9; 4]);
     let planes = [&mut red[..], &mut green, &mut blue];
-    let filled = colors_into(&samples, &height, &window, planes, &mut alpha, 2).unwrap();
+    let filled = colors_into(&samples, &height, &window, planes, Some(&mut alpha), 2).unwrap();
     assert_eq!((filled, alpha), (Filled::Part, [9, 255, 255, 9]));
     assert_eq!((red, green, blue), ([4, 1, 2, 4], [5, 1, 2, 5], [6, 1, 2, 6]));
 
@@ -184,7 +184,7 @@ fn translucent_colors_are_not_all() {
     let (mut planes, mut alpha) = ([[0; 4]; 3], [0; 4]);
     let mut laid = |window: Window| {
         let planes = planes.each_mut().map(|plane| &mut plane[..]);
-        colors_into(&samples, &info, &window, planes, &mut alpha, 2).unwrap()
+        colors_into(&samples, &info, &window, planes, Some(&mut alpha), 2).unwrap()
     };
     assert_eq!(laid(Window::of(&samples)), Filled::Part);
     assert_eq!(laid(Window { cols: 0..2, rows: 1..2 }), Filled::All);

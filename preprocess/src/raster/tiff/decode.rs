@@ -174,8 +174,12 @@ fn too_short(found: usize, wanted: usize) -> ChunkError {
 /// Fills `out` from a zlib stream that stands for `whole` bytes. A stream without its checksum, or
 /// with more behind what is wanted, will do; one with a wrong checksum will not.
 fn inflate(chunk: &[u8], whole: usize, out: &mut [u8]) -> Result<(), ChunkError> {
-    let options =
-        DeflateOptions::default().set_confirm_checksum(true).set_size_hint(whole).set_limit(whole);
+    // The decoder writes ahead: with less room it moves all it has to a larger place at the end.
+    const AHEAD: usize = 1024;
+    let options = DeflateOptions::default()
+        .set_confirm_checksum(true)
+        .set_size_hint(whole + AHEAD)
+        .set_limit(whole);
     let decoded = match DeflateDecoder::new_with_options(chunk, options).decode_zlib() {
         Ok(decoded) => decoded,
         Err(error) => match error.error {
