@@ -1,6 +1,6 @@
 //! Cells with missing taps around: point by point.
 
-use super::interval::{Row, Terms, Texel};
+use super::interval::{Ends, Row, Terms, Texel};
 use super::{Child, LATTICE, Window, parent_taps, taps};
 
 /// Finds the cells of a child beside holes, and puts their intervals right.
@@ -31,7 +31,7 @@ impl<'a, S: Texel> Holes<'a, S> {
     pub(super) fn mend(
         &mut self,
         row: usize,
-        known: Option<(&[S::Cell], &[S::Cell])>,
+        known: Option<Ends<'_, S::Cell>>,
         Row { low, high }: &mut Row<S>,
     ) {
         let interior = self.parent.side - 2;
@@ -59,7 +59,8 @@ impl<'a, S: Texel> Holes<'a, S> {
                 (f64::INFINITY, f64::NEG_INFINITY)
             } else {
                 let end = |end: S::Cell| S::end(end, self.terms.known_log2);
-                let known = known.map_or([0.0; 2], |(low, high)| [end(low[col]), end(high[col])]);
+                let known =
+                    known.map_or([0.0; 2], |ends| [end(ends.low[col]), end(ends.high[col])]);
                 self.careful(row, col, known)
             };
             (low[col], high[col]) = S::outward(least, greatest, self.terms.unit_log2);

@@ -53,6 +53,13 @@ pub trait Texel: Copy + PartialOrd + Into<f64> + Send + Sync + 'static {
     );
 }
 
+/// Ends of intervals of a row of cells.
+#[derive(Clone, Copy)]
+pub(super) struct Ends<'a, C> {
+    pub(super) low: &'a [C],
+    pub(super) high: &'a [C],
+}
+
 /// The intervals of a row of cells, and of one more, empty, where the outline cuts the last pair.
 pub(super) struct Row<S: Texel> {
     pub(super) low: Vec<S::Cell>,
@@ -338,9 +345,9 @@ impl<C: Copy + PartialOrd> Cells<C> {
         rounded_up((-end(low)).max(end(high)).max(0.0))
     }
 
-    pub(super) fn row(&self, row: usize) -> (&[C], &[C]) {
+    pub(super) fn row(&self, row: usize) -> Ends<'_, C> {
         let row = row * self.cols..(row + 1) * self.cols;
-        (&self.low[row.clone()], &self.high[row])
+        Ends { low: &self.low[row.clone()], high: &self.high[row] }
     }
 
     /// Widens the cells of `row` from `col` on by pairs of child cells.

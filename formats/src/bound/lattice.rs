@@ -12,7 +12,7 @@
 //!    16 R_l+1 4 f of both sides at an edge, 8 f at a center
 //! ```
 
-use super::interval::{Number, Row, Terms, Texel};
+use super::interval::{Ends, Number, Row, Terms, Texel};
 use super::{Child, Window, parent_taps, taps};
 use crate::lanes::{greatest, least};
 
@@ -69,7 +69,7 @@ impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
     #[inline(always)]
     pub(super) fn intervals(
         &self,
-        known: Option<(&[S::Cell], &[S::Cell])>,
+        known: Option<Ends<'_, S::Cell>>,
         Row { low, high }: &mut Row<S>,
     ) {
         let terms = self.terms;
@@ -85,10 +85,10 @@ impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
             }
             return;
         };
-        for ((low, ((&a, &b), &c)), &known) in low.iter_mut().zip(lows()).zip(known.0) {
+        for ((low, ((&a, &b), &c)), &known) in low.iter_mut().zip(lows()).zip(known.low) {
             *low = least(least(a, b), c).low(known, terms);
         }
-        for ((high, ((&a, &b), &c)), &known) in high.iter_mut().zip(highs()).zip(known.1) {
+        for ((high, ((&a, &b), &c)), &known) in high.iter_mut().zip(highs()).zip(known.high) {
             *high = greatest(greatest(a, b), c).high(known, terms);
         }
     }
