@@ -70,7 +70,8 @@ fn rows_of(pyramid: &Pyramid, page: PageAddress, within: Range<usize>) -> Vec<Ro
                 next: run.source.next + offset,
                 ..run.source
             };
-            source.weight == 0.0 && source == expected && source.row % interior != 0
+            let next_tile = source.row.is_multiple_of(interior);
+            source.weight == 0.0 && source == expected && !next_tile
         };
         match runs.last_mut() {
             Some(run) if follows(run) => run.length += 1,
