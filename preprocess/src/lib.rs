@@ -34,6 +34,7 @@ pub mod build;
 pub mod mosaic;
 
 pub mod estimate;
+pub mod resample;
 
 pub mod ingest;
 
