@@ -11,7 +11,6 @@ use areoid_formats::catalog::RealDisk;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
 use areoid_preprocess::build::Progress;
-use areoid_preprocess::build_error::BuildError;
 use areoid_preprocess::estimate::{Estimate, Measured};
 use areoid_preprocess::ingest::{
     Event, Existing, IngestError, Outcome, Reading, Request, Unfinished, ingest,
@@ -255,12 +254,8 @@ fn failure(error: IngestError, progress: Option<Progress>) -> Failure {
     if !error.can_be_resumed() {
         return error.into();
     }
-    let interrupted = matches!(
-        &error,
-        IngestError::Build { source, .. } if matches!(**source, BuildError::Interrupted)
-    );
     let reason = match progress {
-        Some(Progress { units_done, units_resumed, units, .. }) if interrupted => {
+        Some(Progress { units_done, units_resumed, units, .. }) if error.is_interruption() => {
             format!("interrupted after {} of {units} units", units_done.max(units_resumed)).into()
         }
         _ => error.into(),

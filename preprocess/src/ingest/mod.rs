@@ -11,7 +11,8 @@ use std::time::Instant;
 
 use areoid_formats::archive::{Description, Summary};
 pub use areoid_formats::catalog::Existing;
-use areoid_formats::catalog::{Catalog, CatalogError, Disk, NewDataset, publish_build};
+use areoid_formats::catalog::{Build, Catalog, CatalogError, Disk, NewDataset, publish_build};
+use areoid_formats::storage::ByteSource as _;
 
 pub use self::plan::{Opened, latitudes_name, open, reopen};
 pub use self::request::{Event, IngestError, Leftover, Outcome, Reading, Request, Unfinished};
@@ -75,12 +76,12 @@ pub fn ingest(
         watch(Event::Leftover(leftover));
     }
     outcome.resumed_units = begun.as_ref().map_or(0, |begun| begun.archive.units);
-    let mut has_units = outcome.resumed_units > 0;
+    let mut unit_end = begun.as_ref().map(|begun| begun.archive.end);
     let mut note = |event: Event| {
         match event {
             Event::Estimated(estimate) => outcome.estimate = Some(estimate),
             Event::Building(progress) => {
-                has_units = true;
+                unit_end.get_or_insert(progress.bytes);
                 outcome.pixels = progress.texels - progress.texels_skipped;
             }
             _ => {}
@@ -90,17 +91,10 @@ pub fn ingest(
     let written = write(request, &description, &mut mosaic, (&mut build, begun), &mut note);
     let written = match written {
         Ok(written) => written,
-        Err(error) => {
-            if !(has_units && error.can_be_resumed()) {
-                // What cannot be removed either is swept by the next build of this name; the first
-                // error says more.
-                let _ = build.discard();
-            }
-            return Err(error);
-        }
+        Err(error) => return Err(stopped(build, unit_end, error)),
     };
     watch(Event::Publishing);
-    outcome.generation = publish_build(
+    let published = publish_build(
         build,
         NewDataset {
             name: description.dataset,
@@ -112,7 +106,8 @@ pub fn ingest(
             source: description.source,
             existing: request.existing,
         },
-    )?;
+    );
+    outcome.generation = published.map_err(|error| kept(error.into()))?;
     (outcome.summary, outcome.bytes) = (written.summary, written.bytes);
     outcome.decoded_blocks = mosaic.decoded_blocks();
     outcome.seconds = start.elapsed().as_secs_f64();
@@ -123,6 +118,25 @@ pub fn ingest(
 fn newest(folder: &Path) -> Result<Option<Catalog>, IngestError> {
     match Catalog::open(folder) {
         Ok(catalog) => Ok(Some(catalog)),
+/// Keeps a build that stopped if that is of use: if its first unit ends at `unit_end`, that is in
+/// its file, and the cause may go away.
+fn stopped(build: Build<'_>, unit_end: Option<u64>, error: IngestError) -> IngestError {
+    // A disk may have had no room for a unit that was done.
+    let length = build.source().map_or(0, |source| source.len());
+    if unit_end.is_some_and(|end| end <= length) && error.may_go_away() {
+        return kept(error);
+    }
+    // What cannot be removed either is swept by the next build of this name; the first error says
+    // more.
+    let _ = build.discard();
+    error
+}
+
+/// The error of an ingest whose build is still there.
+fn kept(error: IngestError) -> IngestError {
+    if error.may_go_away() { IngestError::Kept(Box::new(error)) } else { error }
+}
+
         Err(CatalogError::NotACatalog { .. }) => Ok(None),
         Err(error) => Err(error.into()),
     }

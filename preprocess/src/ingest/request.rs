@@ -181,14 +181,36 @@ pub enum IngestError {
 }
 
 impl IngestError {
-    /// Whether the ingest left a build that can be gone on with, if it came past its first unit.
+    /// Whether the ingest left a build that [`Unfinished::Resume`] goes on with.
     #[must_use]
     pub fn can_be_resumed(&self) -> bool {
-        matches!(self, Self::Build { source, .. } if source.can_be_resumed())
+        matches!(self, Self::Kept(_))
+    }
+
+    /// Whether the caller asked to stop.
+    #[must_use]
+    pub fn is_interruption(&self) -> bool {
+        match self {
+            Self::Kept(error) => error.is_interruption(),
+            Self::Build { source, .. } => matches!(**source, BuildError::Interrupted),
+            error => matches!(error, Self::Interrupted),
+        }
+    }
+
+    /// Whether the same ingest of the same rasters may come to its end another time.
+    pub(super) fn may_go_away(&self) -> bool {
+        match self {
+            Self::Build { source, .. } => source.may_go_away(),
+            Self::Catalog(error) => matches!(**error, CatalogError::Io { .. }),
+            error => matches!(error, Self::Interrupted | Self::Threads(_) | Self::Kept(_)),
+        }
     }
 }
 
 /// Boxed, because these errors are many times larger than what they are returned beside.
+    /// Any of these, of a cause that may go away, and what is built so far is kept.
+    #[error(transparent)]
+    Kept(Box<IngestError>),
 macro_rules! boxed {
     ($($error:ident: $variant:ident),*) => {$(
         impl From<$error> for IngestError {
