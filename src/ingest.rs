@@ -8,8 +8,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use areoid_formats::catalog::RealDisk;
+use areoid_formats::codec::Quantum;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
+use areoid_formats::pyramid::Pyramid;
 use areoid_preprocess::build::Progress;
 use areoid_preprocess::estimate::{Estimate, Measured};
 use areoid_preprocess::ingest::{
@@ -57,11 +59,11 @@ pub(crate) struct Args {
 
     /// Store heights on a step of so many meters, within the bound; 0 is lossless [default: the
     /// raster's own quantum].
-    #[arg(long, value_name = "METERS")]
+    #[arg(long, allow_hyphen_values = true, value_name = "METERS", value_parser = step)]
     step_m: Option<f64>,
 
     /// Texels along a page's side, its border included.
-    #[arg(long, value_name = "TEXELS", default_value_t = 512)]
+    #[arg(long, value_name = "TEXELS", default_value_t = 512, value_parser = page_side)]
     page_size: u32,
 
     /// The sample that stands for no data [default: what the raster says].
@@ -166,9 +168,6 @@ impl Args {
         if self.kernel.is_some() {
             output::say("warning: --kernel has no effect on the raster's own grid");
         }
-        if self.step_m.is_some_and(|step| !(step >= 0.0 && step.is_finite())) {
-            return Err(Failure::Misused("--step-m must be 0 or a positive number".to_owned()));
-        }
         let as_json = self.json;
         let request = self.request();
         let peak = PeakMemory::watch();
@@ -221,6 +220,23 @@ impl Args {
                 }),
             },
         }
+    }
+}
+
+/// A step that heights can be stored on, or 0.
+fn step(text: &str) -> Result<f64, String> {
+    let step: f64 = text.parse().map_err(|error| format!("{error}"))?;
+    Quantum::new(step, 0.0).map_err(|_| "expected 0, or 1e-30 to 1e28".to_owned())?;
+    Ok(step)
+}
+
+/// Texels along a page's side.
+fn page_side(text: &str) -> Result<u32, String> {
+    let side: u32 = text.parse().map_err(|error| format!("{error}"))?;
+    if Pyramid::is_page_side(side) {
+        Ok(side)
+    } else {
+        Err("expected an even number from 8 to 4096".to_owned())
     }
 }
 

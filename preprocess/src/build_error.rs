@@ -15,7 +15,7 @@ pub enum BuildError {
     #[error(transparent)]
     Raster(#[from] RasterError),
     /// A texel that cannot be stored on the dataset's step.
-    #[error("page {page} holds a height that the step {step} cannot store in 32 bits")]
+    #[error("page {page} holds a height that the step {step:?} cannot store in 32 bits")]
     Step {
         /// The page.
         page: PageAddress,

@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use areoid_formats::archive::{ArchiveError, Summary};
 use areoid_formats::catalog::{CatalogError, Existing};
-use areoid_formats::codec::QuantumError;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
 
@@ -166,9 +165,14 @@ pub enum IngestError {
         /// Why.
         source: ArchiveError,
     },
-    /// A step that heights cannot be stored on.
-    #[error(transparent)]
-    Step(#[from] QuantumError),
+    /// A step that heights cannot be stored on, asked for or the raster's own.
+    #[error("heights cannot be stored on a step of {step:?} m from {offset:?} m: give --step-m")]
+    Step {
+        /// The step in meters.
+        step: f64,
+        /// A height on it, in meters.
+        offset: f64,
+    },
     /// A request that makes no sense.
     #[error("{0}")]
     Request(String),
