@@ -45,6 +45,7 @@ struct State {
 enum Phase {
     Opening,
     Hashing,
+    Checking,
     Measuring,
     Building,
     Publishing,
@@ -79,9 +80,10 @@ impl Screen {
         match *event {
             Event::Opening => self.draw(&mut state, Phase::Opening, 0.0, String::new()),
             Event::Hashing { done, bytes } => {
-                let share = done as f64 / bytes.max(1) as f64;
-                let text = format!("{:.0} of {:.0} MB", done as f64 / 1e6, bytes as f64 / 1e6);
-                self.draw(&mut state, Phase::Hashing, share, text);
+                self.draw_bytes(&mut state, Phase::Hashing, done, bytes);
+            }
+            Event::Checking { done, bytes } => {
+                self.draw_bytes(&mut state, Phase::Checking, done, bytes);
             }
             Event::Leftover(leftover) => {
                 if let Leftover::Resumed { units, .. } = leftover {
@@ -120,10 +122,10 @@ impl Screen {
     pub(crate) fn say_stopping(&self) {
         let phase = self.state().phase;
         self.say(match phase {
-            Phase::Opening | Phase::Hashing => "stopping; once more stops at once",
-            Phase::Measuring | Phase::Building => {
-                "stopping after this unit; once more stops at once"
+            Phase::Opening | Phase::Hashing | Phase::Checking | Phase::Measuring => {
+                "stopping; once more stops at once"
             }
+            Phase::Building => "stopping after this unit; once more stops at once",
             Phase::Publishing => "all is built and being published; once more stops at once",
         });
     }
@@ -138,6 +140,12 @@ impl Screen {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
         }
+    }
+
+    fn draw_bytes(&self, state: &mut State, phase: Phase, done: u64, bytes: u64) {
+        let share = done as f64 / bytes.max(1) as f64;
+        let text = format!("{:.0} of {:.0} MB", done as f64 / 1e6, bytes as f64 / 1e6);
+        self.draw(state, phase, share, text);
     }
 
     fn draw(&self, state: &mut State, phase: Phase, share: f64, text: String) {
@@ -179,6 +187,7 @@ impl Phase {
         match self {
             Self::Opening => "reading what the rasters are",
             Self::Hashing => "hashing the input",
+            Self::Checking => "checking what is written already",
             Self::Measuring => "measuring a few pages",
             Self::Building => "building",
             Self::Publishing => "making durable and publishing",

@@ -4,6 +4,8 @@ mod request;
 
 mod plan;
 
+mod left;
+
 mod place;
 
 use std::path::Path;
@@ -17,14 +19,17 @@ use areoid_formats::storage::ByteSource as _;
 pub use self::plan::{Opened, latitudes_name, open, reopen};
 pub use self::request::{Event, IngestError, Leftover, Outcome, Reading, Request, Unfinished};
 
-use self::place::{begin, write};
+use self::left::begin;
+use self::place::write;
 use self::plan::plan;
+use self::request::tell;
 use crate::build::Proceed;
 
 /// Leaf pages along a side of a work unit.
 pub const UNIT_PAGES: u32 = 8;
 
-/// Ingests; `watch` is told how it goes, and may stop it while it hashes and after each work unit.
+/// Ingests; `watch` is told how it goes, and may stop it until all is built: at once before the
+/// build, else behind a work unit.
 ///
 /// # Errors
 ///
@@ -35,7 +40,7 @@ pub fn ingest(
     mut watch: impl FnMut(Event) -> Proceed + Send,
 ) -> Result<Outcome, IngestError> {
     let start = Instant::now();
-    watch(Event::Opening);
+    tell(&mut watch, Event::Opening)?;
     let mut catalog = newest(&request.catalog)?;
     let (description, mut mosaic) = plan(request, catalog.as_ref(), &mut watch)?;
     let mut outcome = Outcome {
@@ -71,10 +76,7 @@ pub fn ingest(
         return Ok(outcome);
     }
 
-    let (mut build, begun, leftover) = begin(disk, request, &description)?;
-    if let Some(leftover) = leftover {
-        watch(Event::Leftover(leftover));
-    }
+    let (mut build, begun, leftover) = begin(disk, request, &description, &mut watch)?;
     outcome.resumed_units = begun.as_ref().map_or(0, |begun| begun.archive.units);
     let mut unit_end = begun.as_ref().map(|begun| begun.archive.end);
     let mut note = |event: Event| {
@@ -88,7 +90,9 @@ pub fn ingest(
         }
         watch(event)
     };
-    let written = write(request, &description, &mut mosaic, (&mut build, begun), &mut note);
+    let told = leftover.map_or(Ok(()), |leftover| tell(&mut note, Event::Leftover(leftover)));
+    let written = told
+        .and_then(|()| write(request, &description, &mut mosaic, (&mut build, begun), &mut note));
     let written = match written {
         Ok(written) => written,
         Err(error) => return Err(stopped(build, unit_end, error)),
@@ -114,10 +118,6 @@ pub fn ingest(
     Ok(outcome)
 }
 
-/// The newest generation of the catalog, if there is one.
-fn newest(folder: &Path) -> Result<Option<Catalog>, IngestError> {
-    match Catalog::open(folder) {
-        Ok(catalog) => Ok(Some(catalog)),
 /// Keeps a build that stopped if that is of use: if its first unit ends at `unit_end`, that is in
 /// its file, and the cause may go away.
 fn stopped(build: Build<'_>, unit_end: Option<u64>, error: IngestError) -> IngestError {
@@ -137,6 +137,10 @@ fn kept(error: IngestError) -> IngestError {
     if error.may_go_away() { IngestError::Kept(Box::new(error)) } else { error }
 }
 
+/// The newest generation of the catalog, if there is one.
+fn newest(folder: &Path) -> Result<Option<Catalog>, IngestError> {
+    match Catalog::open(folder) {
+        Ok(catalog) => Ok(Some(catalog)),
         Err(CatalogError::NotACatalog { .. }) => Ok(None),
         Err(error) => Err(error.into()),
     }

@@ -15,8 +15,7 @@ use areoid_formats::projection::Crs;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::UNIT_PAGES;
-use super::request::{Event, IngestError, Reading, Request, Watch};
-use crate::build::Proceed;
+use super::request::{Event, IngestError, Reading, Request, Watch, tell};
 use crate::feather::FEATHER_TEXELS;
 use crate::mosaic::{Mosaic, MosaicError};
 use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
@@ -154,10 +153,7 @@ fn fingerprints(paths: &[PathBuf], watch: Watch<'_>) -> Result<Vec<SourceFile>, 
     let (mut done, bytes) = (0, paths.iter().map(length).sum());
     let mut count = |read| {
         done += read;
-        match watch(Event::Hashing { done, bytes }) {
-            Proceed::Yes => Ok(()),
-            Proceed::No => Err(IngestError::Interrupted),
-        }
+        tell(watch, Event::Hashing { done, bytes })
     };
     paths.iter().map(|path| fingerprint(path, &mut count)).collect()
 }

@@ -70,7 +70,7 @@ pub struct Reading {
     pub latitudes: Option<LatitudeKind>,
 }
 
-/// What an ingest tells of itself, in this order.
+/// What an ingest tells of itself, in this order. The answer is heeded, but of the last.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Event {
@@ -81,6 +81,13 @@ pub enum Event {
         /// Bytes hashed.
         done: u64,
         /// Bytes of all files.
+        bytes: u64,
+    },
+    /// It checks what is left of a build, to go on with it.
+    Checking {
+        /// Bytes checked.
+        done: u64,
+        /// Bytes that are left.
         bytes: u64,
     },
     /// A build was left that did not come to its end.
@@ -182,6 +189,9 @@ pub enum IngestError {
     /// The threads cannot be started.
     #[error("cannot start the threads: {0}")]
     Threads(String),
+    /// Any of these, of a cause that may go away, and what is built so far is kept.
+    #[error(transparent)]
+    Kept(Box<IngestError>),
 }
 
 impl IngestError {
@@ -212,9 +222,6 @@ impl IngestError {
 }
 
 /// Boxed, because these errors are many times larger than what they are returned beside.
-    /// Any of these, of a cause that may go away, and what is built so far is kept.
-    #[error(transparent)]
-    Kept(Box<IngestError>),
 macro_rules! boxed {
     ($($error:ident: $variant:ident),*) => {$(
         impl From<$error> for IngestError {
@@ -226,6 +233,13 @@ macro_rules! boxed {
 }
 boxed!(RasterError: Raster, MosaicError: Mosaic, CatalogError: Catalog);
 
-/// Who is told of events and asked whether to go on. Only while hashing and after a work unit is
-/// the answer heeded.
+/// Who is told of events and asked whether to go on.
 pub(super) type Watch<'a> = &'a mut (dyn FnMut(Event) -> Proceed + Send);
+
+/// Tells of an event before the build begins.
+pub(super) fn tell(watch: Watch<'_>, event: Event) -> Result<(), IngestError> {
+    match watch(event) {
+        Proceed::Yes => Ok(()),
+        Proceed::No => Err(IngestError::Interrupted),
+    }
+}
