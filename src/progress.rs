@@ -198,7 +198,11 @@ impl Phase {
 fn progress_text(progress: &Progress, all: u64) -> String {
     let mpx = |texels: u64| texels as f64 / 1e6;
     let seconds = progress.elapsed.as_secs_f64();
-    let rate = mpx(progress.texels - progress.texels_skipped) / seconds.max(1e-9);
+    let done = progress.texels - progress.texels_skipped;
+    if done == 0 {
+        return format!("{:.0} of {:.0} Mpx", mpx(progress.texels), mpx(all));
+    }
+    let rate = mpx(done) / seconds.max(1e-9);
     let left = mpx(all.saturating_sub(progress.texels)) / rate.max(1e-9);
     format!(
         "{:.0} of {:.0} Mpx, {rate:.1} Mpx/s, {:.2} GB written, {left:.0} s left",

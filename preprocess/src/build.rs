@@ -135,7 +135,8 @@ pub enum Proceed {
 /// Builds the archive that `description` describes from `leaves` at `site`, from the start or from
 /// where `begun` stopped; the site then stands at the end of what it has.
 ///
-/// Runs on the current rayon pool; `watch` is called after each work unit.
+/// Runs on the current rayon pool; `watch` is called before the first work unit that is done and
+/// after each.
 ///
 /// # Errors
 ///
@@ -190,13 +191,18 @@ fn build_of<S: Texel, W: Site + Send>(
     };
     let mut writer = writer.map_err(BuildError::Write)?;
     progress.units_resumed = usize::try_from(writer.units()).unwrap_or(usize::MAX);
+    let is_noted = note.is_some();
     let usable =
         note.filter(|note| note.archive == writer.archive() && note.units <= writer.units());
     let skipped = if progress.units_resumed == progress.units {
         // Only what stands behind the records may be missing.
         writer.units()
     } else {
-        usable.filter(|note| shop.restore(note)).map_or(0, |note| note.units)
+        let restored = usable.filter(|note| shop.restore(note));
+        if is_noted && restored.is_none() {
+            means.scratch.clear();
+        }
+        restored.map_or(0, |note| note.units)
     };
     while (progress.units_done as u64) < skipped
         && let Some(step) = schedule.next()
@@ -206,6 +212,10 @@ fn build_of<S: Texel, W: Site + Send>(
         progress.units_done += 1;
     }
     progress.texels = progress.texels_skipped;
+    progress.bytes = writer.bytes();
+    if watch(progress) == Proceed::No {
+        return Err(BuildError::Interrupted);
+    }
 
     let mut next = schedule.next();
     let mut raws = read(leaves, next.as_ref())?;

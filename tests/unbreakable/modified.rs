@@ -59,7 +59,8 @@ fn a_raster_that_changes_while_it_is_read_is_noticed() {
 
             let mut changed = false;
             let error = ingest(&RealDisk, &subject.request(&catalog), |event| {
-                let building = matches!(event, Event::Building(_));
+                let building =
+                    matches!(event, Event::Building(progress) if progress.units_done > 0);
                 if building && !std::mem::replace(&mut changed, true) {
                     change(&raster);
                 }

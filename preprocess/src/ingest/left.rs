@@ -12,7 +12,7 @@ use super::request::{Event, IngestError, Leftover, Request, Unfinished, Watch};
 use crate::build::{Begun, Proceed};
 use crate::note::Note;
 
-/// The place of a build, what is gone on with there, and what is told of what was left.
+/// The place of a build, what is gone on with there, and what is told of what was left and is not.
 pub(super) type Place<'a> = (Build<'a>, Option<Begun>, Option<Leftover>);
 
 /// Opens the place of the build, and what is left there of an earlier one that can be gone on with.
@@ -47,9 +47,7 @@ pub(super) fn begin<'a>(
     };
     build.cut(archive.end)?;
     let note = build.last_note()?.and_then(|note| Note::from_bytes(&note));
-    let noted = note.as_ref().map_or(0, |note| note.units).min(archive.units);
-    let leftover = Leftover::Resumed { units: archive.units, again: archive.units - noted };
-    Ok((build, Some(Begun { archive, note }), Some(leftover)))
+    Ok((build, Some(Begun { archive, note }), None))
 }
 
 /// An unfinished archive, which is read from front to back until somebody wants to stop.

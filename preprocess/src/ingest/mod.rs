@@ -23,7 +23,7 @@ use self::left::begin;
 use self::place::write;
 use self::plan::plan;
 use self::request::tell;
-use crate::build::Proceed;
+use crate::build::{Proceed, Progress};
 
 /// Leaf pages along a side of a work unit.
 pub const UNIT_PAGES: u32 = 8;
@@ -78,12 +78,23 @@ pub fn ingest(
 
     let (mut build, begun, leftover) = begin(disk, request, &description, &mut watch)?;
     outcome.resumed_units = begun.as_ref().map_or(0, |begun| begun.archive.units);
+    let mut is_untold = begun.is_some();
     let mut unit_end = begun.as_ref().map(|begun| begun.archive.end);
     let mut note = |event: Event| {
         match event {
             Event::Estimated(estimate) => outcome.estimate = Some(estimate),
             Event::Building(progress) => {
-                unit_end.get_or_insert(progress.bytes);
+                let Progress { units_done, units_resumed, .. } = progress;
+                if std::mem::take(&mut is_untold) {
+                    let (units, again) = (units_resumed as u64, units_resumed - units_done);
+                    let resumed = Leftover::Resumed { units, again: again as u64 };
+                    if watch(Event::Leftover(resumed)) == Proceed::No {
+                        return Proceed::No;
+                    }
+                }
+                if units_done > 0 {
+                    unit_end.get_or_insert(progress.bytes);
+                }
                 outcome.pixels = progress.texels - progress.texels_skipped;
             }
             _ => {}

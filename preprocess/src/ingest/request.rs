@@ -96,7 +96,7 @@ pub enum Event {
     Measuring,
     /// It begins to build.
     Estimated(Estimate),
-    /// It has done a work unit.
+    /// It begins with work units, or has done one.
     Building(Progress),
     /// It begins to make durable and public what it built.
     Publishing,
@@ -105,7 +105,8 @@ pub enum Event {
 /// What becomes of a build that was left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Leftover {
-    /// It is one of the same input with the same options, and gone on with.
+    /// It is one of the same input with the same options, and gone on with: told when the build
+    /// begins and its note was tried.
     Resumed {
         /// Its work units.
         units: u64,
