@@ -97,7 +97,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "METERS")]
     pixel_size_m: Option<f64>,
 
-    /// Memory to use: what exceeds it waits in a file beside the archive.
+    /// Memory to use: what exceeds it waits in a file beside the archive. Two work units must fit,
+    /// of 64 leaves each.
     #[arg(long, value_name = "MIB", default_value_t = 2048)]
     memory_mib: u64,
 
@@ -176,8 +177,16 @@ impl Args {
         let interrupt = Interrupt::listen(move || seen_by_handler.say_stopping())?;
         let outcome = ingest(&RealDisk, &request, |event| {
             screen.show(&event);
-            if let Event::Estimated(estimate) = &event {
-                warn_of_full_disk(&screen, estimate, &request.catalog);
+            match &event {
+                Event::Estimated(estimate) => {
+                    warn_of_full_disk(&screen, estimate, &request.catalog);
+                }
+                Event::ShortOfMemory { least_bytes } => screen.say(format!(
+                    "warning: two work units need more than --memory-mib {}: {} is the least",
+                    request.memory_bytes >> 20,
+                    least_bytes.div_ceil(1 << 20)
+                )),
+                _ => {}
             }
             interrupt.proceed()
         });

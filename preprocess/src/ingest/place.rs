@@ -62,7 +62,11 @@ pub(super) fn write(
     let scratch = Scratch::new(build.scratch()?, &named.unwrap_or_default());
     let scratch = scratch.map_err(|error| failed(BuildError::Scratch(error)))?;
     let scratch = Arc::new(scratch);
-    let spare_bytes = request.memory_bytes.saturating_sub(step_bytes(description, mosaic));
+    let least_bytes = step_bytes(description, mosaic);
+    if request.memory_bytes < least_bytes {
+        tell(watch, Event::ShortOfMemory { least_bytes })?;
+    }
+    let spare_bytes = request.memory_bytes.saturating_sub(least_bytes);
     tell(watch, Event::Measuring)?;
     let pyramid = description.grid.pyramid();
     let done = begun.as_ref().map_or(0, |begun| begun.archive.units) as f64;

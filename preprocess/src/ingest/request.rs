@@ -92,6 +92,11 @@ pub enum Event {
     },
     /// A build was left that did not come to its end.
     Leftover(Leftover),
+    /// It will use more memory than it may.
+    ShortOfMemory {
+        /// What it needs, whatever it may use, in bytes.
+        least_bytes: u64,
+    },
     /// It begins to measure a few leaves, if there are many.
     Measuring,
     /// It begins to build.
