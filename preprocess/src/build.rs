@@ -49,6 +49,16 @@ pub trait Leaves: Sync {
     /// Tells that `page` will not be read.
     fn skip(&self, _page: PageAddress) {}
 
+    /// Checks that what was read so far is of the source as it was when it was opened: else it would
+    /// stay in an archive that a later process goes on with.
+    ///
+    /// # Errors
+    ///
+    /// [`RasterError::Modified`], or [`RasterError::Io`] if it cannot be told.
+    fn check_unchanged(&self) -> Result<(), RasterError> {
+        Ok(())
+    }
+
     /// Whether a texel inside the outline may be invalid.
     fn may_have_holes(&self) -> bool {
         true
@@ -225,7 +235,7 @@ fn build_of<S: Texel, W: Site + Send>(
         progress.leaves += step.read.len() as u64;
         progress.texels += texels(description, &step);
         let (done, ahead) = rayon::join(
-            || take(&mut shop, &step, raws, &mut writer, progress.units_done),
+            || take(&mut shop, &step, (leaves, raws), &mut writer, progress.units_done),
             || read(leaves, next.as_ref()),
         );
         done?;
@@ -253,16 +263,18 @@ fn build_of<S: Texel, W: Site + Send>(
     writer.finish().map_err(BuildError::Write)
 }
 
-/// Does a step and writes what became whole, unless the archive has it already.
+/// Does a step and writes what became whole, unless the archive has it already. The marker behind it,
+/// or a note, says that the unit is one to go on from: so its leaves are known to be good by then.
 fn take<S: Texel>(
     shop: &mut Shop<'_, S>,
     step: &Step,
-    raws: Vec<(PageAddress, Option<Raw>)>,
+    (leaves, raws): (&dyn Leaves, Vec<(PageAddress, Option<Raw>)>),
     writer: &mut ArchiveWriter<impl Write>,
     unit: usize,
 ) -> Result<(), BuildError> {
     if (unit as u64) < writer.units() {
-        return shop.take(step, raws, Payloads::Unneeded, |_| Ok(()));
+        shop.take(step, raws, Payloads::Unneeded, |_| Ok(()))?;
+        return Ok(leaves.check_unchanged()?);
     }
     shop.take(step, raws, Payloads::Made, |(page, whole)| match whole {
         Some((entry, payload)) => writer.page(entry, &payload).map_err(BuildError::Write),
@@ -271,6 +283,7 @@ fn take<S: Texel>(
             Ok(())
         }
     })?;
+    leaves.check_unchanged()?;
     writer.end_unit().map_err(BuildError::Write)
 }
 

@@ -90,7 +90,7 @@ pub(super) fn write(
         build::build(description, mosaic, site, &means, begun, watch)
     });
     if !matches!(built, Err(BuildError::Interrupted)) {
-        // What was made of rasters that changed is of no use, and says why they could not be read.
+        // Rasters that changed say why they could not be read.
         mosaic.check_unchanged()?;
     }
     let (site, written) = built.map_err(failed)?;

@@ -224,6 +224,7 @@ impl IngestError {
             Self::Catalog(error) => matches!(**error, CatalogError::Io { .. }),
             error => matches!(error, Self::Interrupted | Self::Threads(_) | Self::Kept(_)),
         }
+            Self::Raster(error) => matches!(**error, RasterError::Io { .. }),
     }
 }
 

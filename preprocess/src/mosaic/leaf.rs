@@ -62,6 +62,10 @@ impl Leaves for Mosaic {
         }
     }
 
+    fn check_unchanged(&self) -> Result<(), RasterError> {
+        Mosaic::check_unchanged(self)
+    }
+
     fn is_whole(&self) -> bool {
         self.parts.iter().all(|part| {
             let info = part.raster.info();
