@@ -232,6 +232,10 @@ fn leftover_text(leftover: Leftover) -> String {
             "going on with an unfinished build: {units} units are there, {again} of them are \
              worked through again"
         ),
+        Leftover::Whole => {
+            "an earlier build of this dataset was done, and only not published: it is now"
+                .to_owned()
+        }
         Leftover::Discarded => {
             "an unfinished build of this dataset is discarded; --resume would have gone on with it"
                 .to_owned()

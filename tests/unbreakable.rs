@@ -10,6 +10,7 @@
 //!   full       a disk without room
 //!   modified   rasters that change while they are read
 //!   hints      what is said of going on
+//!   stray      archives that only lack a manifest that names them
 //! ```
 //!
 //! A short form by default; `AREOID_SOAK=1` makes it 200 kills and a minute of churn.
@@ -35,4 +36,5 @@ mod unbreakable {
     mod modified;
     mod rig;
     mod same;
+    mod stray;
 }

@@ -4,13 +4,57 @@ use std::fmt;
 use std::io;
 use std::sync::{Mutex, PoisonError};
 
-use areoid_formats::archive::{Description, recover};
-use areoid_formats::catalog::{Build, Disk};
+use areoid_formats::archive::{Archive, Description, recover};
+use areoid_formats::catalog::{
+    Build, CatalogError, Disk, Existing, NewDataset, publish_stray, stray,
+};
 use areoid_formats::storage::{ByteSource, FileSource};
 
-use super::request::{Event, IngestError, Leftover, Request, Unfinished, Watch};
+use super::request::{Event, IngestError, Leftover, Request, Unfinished, Watch, tell};
 use crate::build::{Begun, Proceed};
 use crate::note::Note;
+
+/// Publishes the archive that a process killed between its last two steps left whole, if there is
+/// one: its generation and itself.
+pub(super) fn publish_left(
+    disk: &dyn Disk,
+    request: &Request,
+    description: &Description,
+    watch: Watch<'_>,
+) -> Result<Option<(u64, Archive)>, IngestError> {
+    let (folder, name) = (&request.catalog, &description.dataset);
+    let Some(archive) = stray(folder, description)? else { return Ok(None) };
+    let Some(content) = archive.content() else { return Ok(None) };
+    tell(watch, Event::Leftover(Leftover::Whole))?;
+    // What was begun since makes the same.
+    Build::start(disk, folder, name)?.discard()?;
+    watch(Event::Publishing);
+    let dataset = new_dataset(description, archive.len(), content, request.existing);
+    match publish_stray(disk, folder, &dataset) {
+        Ok(generation) => Ok(Some((generation, archive))),
+        Err(CatalogError::Missing { .. }) => Ok(None),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// What the manifest is to say of an archive.
+pub(super) fn new_dataset(
+    description: &Description,
+    bytes: u64,
+    content: u64,
+    existing: Existing,
+) -> NewDataset {
+    NewDataset {
+        name: description.dataset.clone(),
+        kind: description.kind,
+        priority: description.priority,
+        body: description.body.clone(),
+        bytes,
+        content,
+        source: description.source.clone(),
+        existing,
+    }
+}
 
 /// The place of a build, what is gone on with there, and what is told of what was left and is not.
 pub(super) type Place<'a> = (Build<'a>, Option<Begun>, Option<Leftover>);

@@ -13,17 +13,19 @@ use std::time::Instant;
 
 use areoid_formats::archive::{Description, Summary};
 pub use areoid_formats::catalog::Existing;
-use areoid_formats::catalog::{Build, Catalog, CatalogError, Disk, NewDataset, publish_build};
+use areoid_formats::catalog::{Build, Catalog, CatalogError, Disk, publish_build};
 use areoid_formats::storage::ByteSource as _;
 
 pub use self::plan::{Opened, latitudes_name, open, reopen};
 pub use self::request::{Event, IngestError, Leftover, Outcome, Reading, Request, Unfinished};
 
-use self::left::begin;
+use self::left::{begin, new_dataset, publish_left};
 use self::place::write;
 use self::plan::plan;
 use self::request::tell;
 use crate::build::{Proceed, Progress};
+use crate::feather::HALO;
+use crate::schedule::Schedule;
 
 /// Leaf pages along a side of a work unit.
 pub const UNIT_PAGES: u32 = 8;
@@ -76,6 +78,16 @@ pub fn ingest(
         return Ok(outcome);
     }
 
+    if let Some((generation, archive)) = publish_left(disk, request, &description, &mut watch)? {
+        outcome.generation = generation;
+        outcome.summary = archive.summary().cloned().unwrap_or_default();
+        outcome.bytes = archive.len();
+        let units = Schedule::new(description.grid.pyramid(), UNIT_PAGES, HALO).remaining();
+        outcome.resumed_units = units as u64;
+        outcome.seconds = start.elapsed().as_secs_f64();
+        return Ok(outcome);
+    }
+
     let (mut build, begun, leftover) = begin(disk, request, &description, &mut watch)?;
     outcome.resumed_units = begun.as_ref().map_or(0, |begun| begun.archive.units);
     let mut is_untold = begun.is_some();
@@ -109,19 +121,8 @@ pub fn ingest(
         Err(error) => return Err(stopped(build, unit_end, error)),
     };
     watch(Event::Publishing);
-    let published = publish_build(
-        build,
-        NewDataset {
-            name: description.dataset,
-            kind: description.kind,
-            priority: description.priority,
-            body: description.body,
-            bytes: written.bytes,
-            content: written.content,
-            source: description.source,
-            existing: request.existing,
-        },
-    );
+    let dataset = new_dataset(&description, written.bytes, written.content, request.existing);
+    let published = publish_build(build, dataset);
     outcome.generation = published.map_err(|error| kept(error.into()))?;
     (outcome.summary, outcome.bytes) = (written.summary, written.bytes);
     outcome.decoded_blocks = mosaic.decoded_blocks();

@@ -118,6 +118,8 @@ pub enum Leftover {
         /// Those that are done again, without being written.
         again: u64,
     },
+    /// It is done, of the same input with the same options, and only not published: now it is.
+    Whole,
     /// It could have been gone on with, but was to be discarded.
     Discarded,
     /// It is one of another input, or with other options: discarded.
@@ -222,9 +224,9 @@ impl IngestError {
         match self {
             Self::Build { source, .. } => source.may_go_away(),
             Self::Catalog(error) => matches!(**error, CatalogError::Io { .. }),
+            Self::Raster(error) => matches!(**error, RasterError::Io { .. }),
             error => matches!(error, Self::Interrupted | Self::Threads(_) | Self::Kept(_)),
         }
-            Self::Raster(error) => matches!(**error, RasterError::Io { .. }),
     }
 }
 
