@@ -1,6 +1,7 @@
 //! `areoid ingest`.
 
 use std::borrow::Cow;
+use std::error::Error;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -276,15 +277,16 @@ fn warn_of_full_disk(screen: &Screen, estimate: &Estimate, catalog: &Path) {
 
 /// An ingest that did not come to its end, with how to go on if that is possible.
 fn failure(error: IngestError, progress: Option<Progress>) -> Failure {
-    if !error.can_be_resumed() {
-        return error.into();
-    }
-    let reason = match progress {
+    let can_be_resumed = error.can_be_resumed();
+    let reason: Box<dyn Error> = match progress {
         Some(Progress { units_done, units_resumed, units, .. }) if error.is_interruption() => {
             format!("interrupted after {} of {units} units", units_done.max(units_resumed)).into()
         }
         _ => error.into(),
     };
+    if !can_be_resumed {
+        return Failure::Failed(reason);
+    }
     let arguments: Vec<_> = std::env::args_os().collect();
     let arguments = arguments.iter().map(|argument| argument.to_string_lossy());
     Failure::Unfinished { reason, command: command_to_go_on(arguments) }

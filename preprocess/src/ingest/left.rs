@@ -10,6 +10,7 @@ use areoid_formats::catalog::{
 };
 use areoid_formats::storage::{ByteSource, FileSource};
 
+use super::kept;
 use super::request::{Event, IngestError, Leftover, Request, Unfinished, Watch, tell};
 use crate::build::{Begun, Proceed};
 use crate::note::Note;
@@ -33,7 +34,7 @@ pub(super) fn publish_left(
     match publish_stray(disk, folder, &dataset) {
         Ok(generation) => Ok(Some((generation, archive))),
         Err(CatalogError::Missing { .. }) => Ok(None),
-        Err(error) => Err(error.into()),
+        Err(error) => Err(kept(error.into())),
     }
 }
 

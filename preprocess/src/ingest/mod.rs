@@ -133,8 +133,8 @@ pub fn ingest(
 /// Keeps a build that stopped if that is of use: if its first unit ends at `unit_end`, that is in
 /// its file, and the cause may go away.
 fn stopped(build: Build<'_>, unit_end: Option<u64>, error: IngestError) -> IngestError {
-    // A disk may have had no room for a unit that was done.
-    let length = build.source().map_or(0, |source| source.len());
+    // A disk may have had no room for a unit that was done. Where it does not tell, that shows later.
+    let length = build.source().map_or(u64::MAX, |source| source.len());
     if unit_end.is_some_and(|end| end <= length) && error.may_go_away() {
         return kept(error);
     }
