@@ -56,7 +56,8 @@ impl Failure {
 fn say_why(error: &(dyn Error + 'static)) {
     output::say(format!("error: {error}"));
     for cause in std::iter::successors(error.source(), |&cause| cause.source()) {
-        output::say(format!("  caused by: {cause}"));
+        // Some decoders end theirs with a line's end.
+        output::say(format!("  caused by: {}", cause.to_string().trim_end()));
     }
 }
 

@@ -1,6 +1,7 @@
 //! `areoid ingest`.
 
 use std::borrow::Cow;
+use std::error::Error;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -8,10 +9,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use areoid_formats::catalog::RealDisk;
+use areoid_formats::codec::Quantum;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
+use areoid_formats::pyramid::Pyramid;
 use areoid_preprocess::build::Progress;
-use areoid_preprocess::build_error::BuildError;
 use areoid_preprocess::estimate::{Estimate, Measured};
 use areoid_preprocess::ingest::{
     Event, Existing, IngestError, Outcome, Reading, Request, Unfinished, ingest,
@@ -58,11 +60,11 @@ pub(crate) struct Args {
 
     /// Store heights on a step of so many meters, within the bound; 0 is lossless [default: the
     /// raster's own quantum].
-    #[arg(long, value_name = "METERS")]
+    #[arg(long, allow_hyphen_values = true, value_name = "METERS", value_parser = step)]
     step_m: Option<f64>,
 
     /// Texels along a page's side, its border included.
-    #[arg(long, value_name = "TEXELS", default_value_t = 512)]
+    #[arg(long, value_name = "TEXELS", default_value_t = 512, value_parser = page_side)]
     page_size: u32,
 
     /// The sample that stands for no data [default: what the raster says].
@@ -96,7 +98,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "METERS")]
     pixel_size_m: Option<f64>,
 
-    /// Memory to use: what exceeds it waits in a file beside the archive.
+    /// Memory to use: what exceeds it waits in a file beside the archive. Two work units must fit,
+    /// of 64 leaves each.
     #[arg(long, value_name = "MIB", default_value_t = 2048)]
     memory_mib: u64,
 
@@ -167,9 +170,6 @@ impl Args {
         if self.kernel.is_some() {
             output::say("warning: --kernel has no effect on the raster's own grid");
         }
-        if self.step_m.is_some_and(|step| !(step >= 0.0 && step.is_finite())) {
-            return Err(Failure::Misused("--step-m must be 0 or a positive number".to_owned()));
-        }
         let as_json = self.json;
         let request = self.request();
         let peak = PeakMemory::watch();
@@ -178,8 +178,16 @@ impl Args {
         let interrupt = Interrupt::listen(move || seen_by_handler.say_stopping())?;
         let outcome = ingest(&RealDisk, &request, |event| {
             screen.show(&event);
-            if let Event::Estimated(estimate) = &event {
-                warn_of_full_disk(&screen, estimate, &request.catalog);
+            match &event {
+                Event::Estimated(estimate) => {
+                    warn_of_full_disk(&screen, estimate, &request.catalog);
+                }
+                Event::ShortOfMemory { least_bytes } => screen.say(format!(
+                    "warning: two work units need more than --memory-mib {}: {} is the least",
+                    request.memory_bytes >> 20,
+                    least_bytes.div_ceil(1 << 20)
+                )),
+                _ => {}
             }
             interrupt.proceed()
         });
@@ -225,6 +233,23 @@ impl Args {
     }
 }
 
+/// A step that heights can be stored on, or 0.
+fn step(text: &str) -> Result<f64, String> {
+    let step: f64 = text.parse().map_err(|error| format!("{error}"))?;
+    Quantum::new(step, 0.0).map_err(|_| "expected 0, or 1e-30 to 1e28".to_owned())?;
+    Ok(step)
+}
+
+/// Texels along a page's side.
+fn page_side(text: &str) -> Result<u32, String> {
+    let side: u32 = text.parse().map_err(|error| format!("{error}"))?;
+    if Pyramid::is_page_side(side) {
+        Ok(side)
+    } else {
+        Err("expected an even number from 8 to 4096".to_owned())
+    }
+}
+
 /// A number of seconds, up to a year.
 fn seconds(text: &str) -> Result<f64, String> {
     let seconds: f64 = text.parse().map_err(|error| format!("{text:?}: {error}"))?;
@@ -252,19 +277,16 @@ fn warn_of_full_disk(screen: &Screen, estimate: &Estimate, catalog: &Path) {
 
 /// An ingest that did not come to its end, with how to go on if that is possible.
 fn failure(error: IngestError, progress: Option<Progress>) -> Failure {
-    if !error.can_be_resumed() {
-        return error.into();
-    }
-    let interrupted = matches!(
-        &error,
-        IngestError::Build { source, .. } if matches!(**source, BuildError::Interrupted)
-    );
-    let reason = match progress {
-        Some(Progress { units_done, units_resumed, units, .. }) if interrupted => {
+    let can_be_resumed = error.can_be_resumed();
+    let reason: Box<dyn Error> = match progress {
+        Some(Progress { units_done, units_resumed, units, .. }) if error.is_interruption() => {
             format!("interrupted after {} of {units} units", units_done.max(units_resumed)).into()
         }
         _ => error.into(),
     };
+    if !can_be_resumed {
+        return Failure::Failed(reason);
+    }
     let arguments: Vec<_> = std::env::args_os().collect();
     let arguments = arguments.iter().map(|argument| argument.to_string_lossy());
     Failure::Unfinished { reason, command: command_to_go_on(arguments) }

@@ -45,6 +45,7 @@ struct State {
 enum Phase {
     Opening,
     Hashing,
+    Checking,
     Measuring,
     Building,
     Publishing,
@@ -79,9 +80,10 @@ impl Screen {
         match *event {
             Event::Opening => self.draw(&mut state, Phase::Opening, 0.0, String::new()),
             Event::Hashing { done, bytes } => {
-                let share = done as f64 / bytes.max(1) as f64;
-                let text = format!("{:.0} of {:.0} MB", done as f64 / 1e6, bytes as f64 / 1e6);
-                self.draw(&mut state, Phase::Hashing, share, text);
+                self.draw_bytes(&mut state, Phase::Hashing, done, bytes);
+            }
+            Event::Checking { done, bytes } => {
+                self.draw_bytes(&mut state, Phase::Checking, done, bytes);
             }
             Event::Leftover(leftover) => {
                 if let Leftover::Resumed { units, .. } = leftover {
@@ -120,10 +122,10 @@ impl Screen {
     pub(crate) fn say_stopping(&self) {
         let phase = self.state().phase;
         self.say(match phase {
-            Phase::Opening | Phase::Hashing => "stopping; once more stops at once",
-            Phase::Measuring | Phase::Building => {
-                "stopping after this unit; once more stops at once"
+            Phase::Opening | Phase::Hashing | Phase::Checking | Phase::Measuring => {
+                "stopping; once more stops at once"
             }
+            Phase::Building => "stopping after this unit; once more stops at once",
             Phase::Publishing => "all is built and being published; once more stops at once",
         });
     }
@@ -138,6 +140,12 @@ impl Screen {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
         }
+    }
+
+    fn draw_bytes(&self, state: &mut State, phase: Phase, done: u64, bytes: u64) {
+        let share = done as f64 / bytes.max(1) as f64;
+        let text = format!("{:.0} of {:.0} MB", done as f64 / 1e6, bytes as f64 / 1e6);
+        self.draw(state, phase, share, text);
     }
 
     fn draw(&self, state: &mut State, phase: Phase, share: f64, text: String) {
@@ -179,6 +187,7 @@ impl Phase {
         match self {
             Self::Opening => "reading what the rasters are",
             Self::Hashing => "hashing the input",
+            Self::Checking => "checking what is written already",
             Self::Measuring => "measuring a few pages",
             Self::Building => "building",
             Self::Publishing => "making durable and publishing",
@@ -189,7 +198,11 @@ impl Phase {
 fn progress_text(progress: &Progress, all: u64) -> String {
     let mpx = |texels: u64| texels as f64 / 1e6;
     let seconds = progress.elapsed.as_secs_f64();
-    let rate = mpx(progress.texels - progress.texels_skipped) / seconds.max(1e-9);
+    let done = progress.texels - progress.texels_skipped;
+    if done == 0 {
+        return format!("{:.0} of {:.0} Mpx", mpx(progress.texels), mpx(all));
+    }
+    let rate = mpx(done) / seconds.max(1e-9);
     let left = mpx(all.saturating_sub(progress.texels)) / rate.max(1e-9);
     format!(
         "{:.0} of {:.0} Mpx, {rate:.1} Mpx/s, {:.2} GB written, {left:.0} s left",
@@ -219,6 +232,10 @@ fn leftover_text(leftover: Leftover) -> String {
             "going on with an unfinished build: {units} units are there, {again} of them are \
              worked through again"
         ),
+        Leftover::Whole => {
+            "an earlier build of this dataset was done, and only not published: it is now"
+                .to_owned()
+        }
         Leftover::Discarded => {
             "an unfinished build of this dataset is discarded; --resume would have gone on with it"
                 .to_owned()

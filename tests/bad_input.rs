@@ -177,6 +177,35 @@ fn a_name_taken_by_something_else_needs_force() {
     assert!(bench.ingest(&["good.tif", "--step-m", "10"]).status.success());
 }
 
+/// They used to be found out behind the raster's header, and to be blamed on the raster.
+#[test]
+fn options_out_of_range_are_misuse_of_the_option() {
+    let bench = Bench::new();
+    let before = bench.catalog();
+    let digits = format!("1{}", "0".repeat(300));
+    for (option, value, range) in [
+        ("--page-size", "6", "even number from 8 to 4096"),
+        ("--page-size", "33", "even number from 8 to 4096"),
+        ("--page-size", "4098", "even number from 8 to 4096"),
+        ("--page-size", "99999999999", "number too large"),
+        ("--step-m", "-1", "1e-30 to 1e28"),
+        ("--step-m", "1e-31", "1e-30 to 1e28"),
+        ("--step-m", "1e300", "1e-30 to 1e28"),
+        ("--step-m", "nan", "1e-30 to 1e28"),
+        ("--step-m", "inf", "1e-30 to 1e28"),
+    ] {
+        let output = bench.ingest(&["good.tif", "--name", "x", option, value]);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{option} {value}: {stderr}");
+        assert!(stderr.contains(option) && stderr.contains(range), "{stderr}");
+        assert!(!stderr.contains("good.tif") && !stderr.contains(&digits[..40]), "{stderr}");
+    }
+    assert_eq!(bench.catalog(), before);
+    assert!(bench.ingest(&["good.tif", "--name", "x", "--step-m", "0"]).status.success());
+    // In range, and too fine for these heights.
+    bench.refuses(&["good.tif", "--name", "y", "--step-m", "1e-25"], &["step 1e-25"]);
+}
+
 #[test]
 fn a_catalog_that_cannot_be_written_is_an_error() {
     let bench = Bench::new();

@@ -9,6 +9,8 @@
 //!   churn      processes that ingest, replace and remove in one catalog while others read it
 //!   full       a disk without room
 //!   modified   rasters that change while they are read
+//!   hints      what is said of going on
+//!   stray      archives that only lack a manifest that names them
 //! ```
 //!
 //! A short form by default; `AREOID_SOAK=1` makes it 200 kills and a minute of churn.
@@ -29,8 +31,10 @@ mod unbreakable {
     mod churn;
     mod damage;
     mod full;
+    mod hints;
     mod kills;
     mod modified;
     mod rig;
     mod same;
+    mod stray;
 }

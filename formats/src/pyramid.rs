@@ -142,6 +142,12 @@ impl Pyramid {
     /// The most rows of pages of such a level.
     pub const MAX_ROOT_ROWS: u32 = 2;
 
+    /// Whether a page may have so many texels a side: an even number in 8..=4096.
+    #[must_use]
+    pub fn is_page_side(texels: u32) -> bool {
+        (8..=4096).contains(&texels) && texels.is_multiple_of(2)
+    }
+
     /// Levels for `extent`, in pages of `page_side` texels including the border.
     ///
     /// # Errors
@@ -152,7 +158,7 @@ impl Pyramid {
         if width == 0 || height == 0 {
             return Err(PyramidError::Empty { width, height });
         }
-        if !(8..=4096).contains(&page_side) || page_side % 2 == 1 {
+        if !Self::is_page_side(page_side) {
             return Err(PyramidError::PageSide { found: page_side });
         }
         let reaches_pole = north != PoleContact::None || south != PoleContact::None;

@@ -49,6 +49,16 @@ pub trait Leaves: Sync {
     /// Tells that `page` will not be read.
     fn skip(&self, _page: PageAddress) {}
 
+    /// Checks that what was read so far is of the source as it was when it was opened: else it would
+    /// stay in an archive that a later process goes on with.
+    ///
+    /// # Errors
+    ///
+    /// [`RasterError::Modified`], or [`RasterError::Io`] if it cannot be told.
+    fn check_unchanged(&self) -> Result<(), RasterError> {
+        Ok(())
+    }
+
     /// Whether a texel inside the outline may be invalid.
     fn may_have_holes(&self) -> bool {
         true
@@ -135,7 +145,8 @@ pub enum Proceed {
 /// Builds the archive that `description` describes from `leaves` at `site`, from the start or from
 /// where `begun` stopped; the site then stands at the end of what it has.
 ///
-/// Runs on the current rayon pool; `watch` is called after each work unit.
+/// Runs on the current rayon pool; `watch` is called before the first work unit that is done and
+/// after each.
 ///
 /// # Errors
 ///
@@ -190,13 +201,18 @@ fn build_of<S: Texel, W: Site + Send>(
     };
     let mut writer = writer.map_err(BuildError::Write)?;
     progress.units_resumed = usize::try_from(writer.units()).unwrap_or(usize::MAX);
+    let is_noted = note.is_some();
     let usable =
         note.filter(|note| note.archive == writer.archive() && note.units <= writer.units());
     let skipped = if progress.units_resumed == progress.units {
         // Only what stands behind the records may be missing.
         writer.units()
     } else {
-        usable.filter(|note| shop.restore(note)).map_or(0, |note| note.units)
+        let restored = usable.filter(|note| shop.restore(note));
+        if is_noted && restored.is_none() {
+            means.scratch.clear();
+        }
+        restored.map_or(0, |note| note.units)
     };
     while (progress.units_done as u64) < skipped
         && let Some(step) = schedule.next()
@@ -206,6 +222,10 @@ fn build_of<S: Texel, W: Site + Send>(
         progress.units_done += 1;
     }
     progress.texels = progress.texels_skipped;
+    progress.bytes = writer.bytes();
+    if watch(progress) == Proceed::No {
+        return Err(BuildError::Interrupted);
+    }
 
     let mut next = schedule.next();
     let mut raws = read(leaves, next.as_ref())?;
@@ -215,7 +235,7 @@ fn build_of<S: Texel, W: Site + Send>(
         progress.leaves += step.read.len() as u64;
         progress.texels += texels(description, &step);
         let (done, ahead) = rayon::join(
-            || take(&mut shop, &step, raws, &mut writer, progress.units_done),
+            || take(&mut shop, &step, (leaves, raws), &mut writer, progress.units_done),
             || read(leaves, next.as_ref()),
         );
         done?;
@@ -243,16 +263,18 @@ fn build_of<S: Texel, W: Site + Send>(
     writer.finish().map_err(BuildError::Write)
 }
 
-/// Does a step and writes what became whole, unless the archive has it already.
+/// Does a step and writes what became whole, unless the archive has it already. The marker behind it,
+/// or a note, says that the unit is one to go on from: so its leaves are known to be good by then.
 fn take<S: Texel>(
     shop: &mut Shop<'_, S>,
     step: &Step,
-    raws: Vec<(PageAddress, Option<Raw>)>,
+    (leaves, raws): (&dyn Leaves, Vec<(PageAddress, Option<Raw>)>),
     writer: &mut ArchiveWriter<impl Write>,
     unit: usize,
 ) -> Result<(), BuildError> {
     if (unit as u64) < writer.units() {
-        return shop.take(step, raws, Payloads::Unneeded, |_| Ok(()));
+        shop.take(step, raws, Payloads::Unneeded, |_| Ok(()))?;
+        return Ok(leaves.check_unchanged()?);
     }
     shop.take(step, raws, Payloads::Made, |(page, whole)| match whole {
         Some((entry, payload)) => writer.page(entry, &payload).map_err(BuildError::Write),
@@ -261,6 +283,7 @@ fn take<S: Texel>(
             Ok(())
         }
     })?;
+    leaves.check_unchanged()?;
     writer.end_unit().map_err(BuildError::Write)
 }
 

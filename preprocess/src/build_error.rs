@@ -15,7 +15,7 @@ pub enum BuildError {
     #[error(transparent)]
     Raster(#[from] RasterError),
     /// A texel that cannot be stored on the dataset's step.
-    #[error("page {page} holds a height that the step {step} cannot store in 32 bits")]
+    #[error("page {page} holds a height that the step {step:?} cannot store in 32 bits")]
     Step {
         /// The page.
         page: PageAddress,
@@ -45,11 +45,12 @@ pub enum BuildError {
 }
 
 impl BuildError {
-    /// Whether the same build may come to its end another time, without doing everything again.
+    /// Whether the same build of the same rasters may come to its end another time.
     #[must_use]
-    pub fn can_be_resumed(&self) -> bool {
+    pub fn may_go_away(&self) -> bool {
         match self {
-            Self::Raster(_) | Self::Write(_) | Self::Scratch(_) | Self::Interrupted => true,
+            Self::Raster(error) => matches!(error, RasterError::Io { .. }),
+            Self::Write(_) | Self::Scratch(_) | Self::Interrupted => true,
             Self::Step { .. } | Self::Encode { .. } | Self::NoData => false,
         }
     }

@@ -76,8 +76,8 @@ impl Estimate {
     }
 
     /// With what a few leaves say, if there are many. `left` is the share of the work that is still
-    /// to be done. Runs on the current rayon pool and holds up to `memory_bytes`; what cannot be
-    /// read is left for the build to find.
+    /// to be done; `go_on` is asked before each leaf. Runs on the current rayon pool and holds up to
+    /// `memory_bytes`; what cannot be read is left for the build to find.
     #[must_use]
     pub fn measure(
         self,
@@ -86,6 +86,7 @@ impl Estimate {
         scratch: &Arc<Scratch>,
         memory_bytes: u64,
         left: f64,
+        go_on: GoOn<'_>,
     ) -> Self {
         if self.texels < WORTH_MEASURING_PX {
             return self;
@@ -96,10 +97,13 @@ impl Estimate {
         let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().ok();
         let measured = sample
             .zip(alone)
-            .and_then(|(sample, alone)| alone.install(|| sample.measure(mosaic, scratch)));
+            .and_then(|(sample, alone)| alone.install(|| sample.measure(mosaic, scratch, go_on)));
         Self { measured: measured.map(|figures| figures.scaled(self, mosaic, left)), ..self }
     }
 }
+
+/// Who is asked whether to go on.
+type GoOn<'a> = &'a mut (dyn FnMut() -> Proceed + Send);
 
 /// Leaves to measure on.
 struct Sample {
@@ -153,11 +157,14 @@ impl Sample {
         (pages == Some((1, LEAVES))).then_some(Self { leaves, description })
     }
 
-    fn measure(&self, mosaic: &Mosaic, scratch: &Arc<Scratch>) -> Option<Figures> {
+    fn measure(&self, mosaic: &Mosaic, scratch: &Arc<Scratch>, go_on: GoOn<'_>) -> Option<Figures> {
         let apart = mosaic.apart();
         let start = Instant::now();
-        let read = self.leaves.iter().map(|&leaf| apart.read(leaf));
-        let raws = read.collect::<Result<Vec<_>, RasterError>>().ok()?;
+        let read = |&leaf: &PageAddress| match go_on() {
+            Proceed::Yes => apart.read(leaf).ok(),
+            Proceed::No => None,
+        };
+        let raws = self.leaves.iter().map(read).collect::<Option<Vec<_>>>()?;
         let reading_s = start.elapsed().as_secs_f64();
         let decoded_blocks = apart.decoded_blocks();
         let leaves =

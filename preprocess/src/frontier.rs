@@ -64,6 +64,15 @@ impl<S: Texel> Frontier<S> {
         self.bytes_here = 0;
     }
 
+    /// Whether `slot` has a page of `side` texels, with an interior of `size` rows and columns.
+    #[must_use]
+    pub fn is_saved(&self, slot: Slot, side: usize, size: (u32, u32)) -> bool {
+        let kept = self.scratch.get(slot).ok().and_then(|bytes| Kept::<S>::from_bytes(&bytes));
+        kept.is_some_and(|Kept { tile, .. }| {
+            (tile.side, tile.rows, tile.cols) == (side, size.0 as usize, size.1 as usize)
+        })
+    }
+
     /// Whether no page is held.
     #[must_use]
     pub fn is_empty(&self) -> bool {

@@ -165,6 +165,12 @@ impl Scratch {
         }
     }
 
+    /// Gives everything up, of whomever: the checkpoint found in the file is of no use, and nothing
+    /// that was stored since is asked for again.
+    pub fn clear(&self) {
+        *self.room() = Room::default();
+    }
+
     /// Waits until everything stored is on the medium.
     ///
     /// # Errors
@@ -320,6 +326,16 @@ mod tests {
     #[test]
     fn blocks_set_aside_keep_the_contract() {
         keeps_the_contract(&Aside::new(Arc::new(scratch())));
+    }
+
+    #[test]
+    fn room_of_a_checkpoint_of_no_use_is_used_again() {
+        let scratch = scratch();
+        let slots: Vec<Slot> = (0..8).map(|_| scratch.put(&[&[1; 9000]]).unwrap()).collect();
+        let again = Scratch::new(scratch.file.try_clone().unwrap(), &slots).unwrap();
+        again.clear();
+        assert_eq!(again.put(&[&[2; 70_000]]).unwrap().offset, 0);
+        assert!(again.get(slots[7]).is_err());
     }
 
     #[test]

@@ -99,7 +99,9 @@ impl<'a, S: Texel> Shop<'a, S> {
             };
             validity.insert(page, known);
         }
-        if note.pages.iter().any(|&(_, slot)| self.scratch.get(slot).is_err()) {
+        let side = pyramid.page_side() as usize;
+        let size = |page| pyramid.interior_size(page);
+        if !note.pages.iter().all(|&(page, slot)| self.frontier.is_saved(slot, side, size(page))) {
             return false;
         }
         self.noted_bits = noted_bits;

@@ -4,6 +4,11 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use areoid_formats::catalog::RealDisk;
+use areoid_preprocess::build::Proceed;
+use areoid_preprocess::ingest::{Event, Leftover, ingest};
+use areoid_preprocess::note::Note;
+use areoid_preprocess::scratch::{Scratch, Slot};
 use tempfile::TempDir;
 
 use super::rig::{self, NAME, SMALL, Subject, soak};
@@ -68,6 +73,81 @@ fn a_note_saves_reading_again_what_it_speaks_of() {
             fs::remove_file(file(build, "note")).unwrap();
         });
         assert_eq!((noted, all), (LEAVES * (UNITS - NOTED as u64), LEAVES * UNITS));
+    }
+}
+
+/// A note that does not hold was announced as if it did, and the room it names stayed taken.
+#[test]
+fn a_note_of_no_use_is_not_announced_and_takes_no_room() {
+    for subject in &SMALL.all {
+        let victim = Victim::new(subject);
+        // Units that are announced to be done again, and the length of the scratch file in the end.
+        let gone_on_after = |harm: &dyn Fn(&Path)| {
+            let catalog = TempDir::new().unwrap();
+            rig::copy(victim.left.path(), catalog.path());
+            let build = catalog.path().join("build");
+            harm(&build);
+            let (mut announced, mut length) = (Vec::new(), 0);
+            let outcome = ingest(&RealDisk, &subject.request(catalog.path()), |event| {
+                match event {
+                    Event::Leftover(Leftover::Resumed { units, again }) => {
+                        assert_eq!(units, DONE as u64);
+                        announced.push(again);
+                    }
+                    Event::Building(_) => {
+                        length = fs::metadata(file(&build, "scratch")).unwrap().len();
+                    }
+                    _ => {}
+                }
+                Proceed::Yes
+            });
+            assert_eq!(outcome.unwrap().resumed_units, DONE as u64);
+            rig::assert_whole(catalog.path(), &victim.archive, "announced");
+            assert!(matches!(announced[..], [_]), "{announced:?}");
+            (announced[0], length)
+        };
+        let (again, _) = gone_on_after(&|_| {});
+        assert_eq!(again, (DONE - NOTED) as u64);
+        let without = gone_on_after(&|build| fs::remove_file(file(build, "note")).unwrap());
+        let flipped = gone_on_after(&|build| {
+            change(&file(build, "scratch"), |scratch| {
+                let note = Note::from_bytes(&fs::read(file(build, "note")).unwrap()).unwrap();
+                scratch[note.pages[0].1.offset as usize] ^= 1;
+            });
+        });
+        assert_eq!((without.0, flipped.0), (DONE as u64, DONE as u64));
+        // Pages come in any order, and fit the room of others more or less.
+        let (without, flipped) = (without.1 as f64, flipped.1 as f64);
+        assert!(flipped < 1.1 * without, "{flipped} bytes, without a note {without}");
+    }
+}
+
+/// Its checksums hold, and what it says of the scratch file does not: such a build failed whenever it
+/// was gone on with.
+#[test]
+fn a_note_that_mistakes_its_pages_is_no_note() {
+    for subject in &SMALL.all {
+        let victim = Victim::new(subject);
+        let mistaken = |mistake: &dyn Fn(&mut Note)| {
+            let (units, leaves) = victim.resumed_after("a note mistaken", |build| {
+                change(&file(build, "note"), |bytes| {
+                    let mut note = Note::from_bytes(bytes).unwrap();
+                    mistake(&mut note);
+                    *bytes = note.to_bytes();
+                });
+            });
+            assert_eq!((units, leaves), (DONE as u64, LEAVES * UNITS));
+        };
+        let scratch = fs::read(file(&victim.left.path().join("build"), "scratch")).unwrap();
+        mistaken(&|note| {
+            let slot = &mut note.pages[0].1;
+            let (start, half) = (slot.offset as usize, slot.length as usize / 2);
+            let other = Scratch::new(tempfile::tempfile().unwrap(), &[]).unwrap();
+            let of_half = other.put(&[&scratch[start..start + half]]).unwrap();
+            *slot = Slot { offset: slot.offset, ..of_half };
+        });
+        mistaken(&|note| note.archive ^= 1);
+        mistaken(&|note| note.units = UNITS + 1);
     }
 }
 

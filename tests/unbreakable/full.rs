@@ -19,12 +19,19 @@ fn committed(catalog: &Path) -> Vec<(String, Vec<u8>)> {
     names.into_iter().map(|name| (name.clone(), fs::read(catalog.join(name)).unwrap())).collect()
 }
 
-/// Checks that an ingest failed for `cause` and took nothing from the catalog.
-fn assert_nothing_lost(output: &Output, cause: &str, catalog: &Path, before: &[(String, Vec<u8>)]) {
+/// Checks that an ingest failed for `cause` and took nothing from the catalog; whether it told how to
+/// go on.
+fn assert_nothing_lost(
+    output: &Output,
+    cause: &str,
+    catalog: &Path,
+    before: &[(String, Vec<u8>)],
+) -> bool {
     let told = rig::assert_told(output);
     assert!(told.contains(cause), "{told}");
     assert!(committed(catalog) == before, "{told}");
     assert_eq!(rig::listed(catalog), [OTHER]);
+    told.contains("to go on: ")
 }
 
 fn with_another(catalog: &Path) -> Vec<(String, Vec<u8>)> {
@@ -52,9 +59,11 @@ fn a_file_that_may_not_grow_is_told_and_gone_on_with() {
             let options = ["--memory-mib", memory, "--note-every-s", "0"];
             let limit = blocks * twentieths / 20;
             let output = limited(subject, home.path(), limit, &options);
-            assert_nothing_lost(&output, "File too large", home.path(), &before);
+            let hint = assert_nothing_lost(&output, "File too large", home.path(), &before);
             let summary = subject.ingest(home.path(), &["--resume"]);
-            half_way += u32::from(summary["resumed_units"].as_u64() > Some(0));
+            let resumed = summary["resumed_units"].as_u64() > Some(0);
+            assert_eq!(hint, resumed, "{twentieths} twentieths");
+            half_way += u32::from(resumed);
             rig::assert_whole(home.path(), &archive, &format!("{twentieths} twentieths"));
         }
     }
@@ -119,10 +128,12 @@ fn a_full_file_system_is_told_and_gone_on_with() {
             let what = format!("{size} bytes for {whole}");
             if !output.status.success() {
                 full += 1;
-                assert_nothing_lost(&output, "No space left on device", &catalog, &before);
+                let hint =
+                    assert_nothing_lost(&output, "No space left on device", &catalog, &before);
                 disk.grow();
                 let summary = subject.ingest(&catalog, &["--resume"]);
                 let units = summary["resumed_units"].as_u64().unwrap();
+                assert_eq!(hint, units > 0, "{what}");
                 half_way += u32::from(units > 0);
                 if size >= whole {
                     assert!(units > 0, "{what}: {NAME} was done, and was begun again");

@@ -2,7 +2,7 @@
 
 use std::error::Error;
 use std::fs::{self, File};
-use std::io::Write as _;
+use std::io::{Seek as _, SeekFrom, Write as _};
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
@@ -59,7 +59,8 @@ fn a_raster_that_changes_while_it_is_read_is_noticed() {
 
             let mut changed = false;
             let error = ingest(&RealDisk, &subject.request(&catalog), |event| {
-                let building = matches!(event, Event::Building(_));
+                let building =
+                    matches!(event, Event::Building(progress) if progress.units_done > 0);
                 if building && !std::mem::replace(&mut changed, true) {
                     change(&raster);
                 }
@@ -82,5 +83,44 @@ fn a_raster_that_changes_while_it_is_read_is_noticed() {
             assert_eq!(outcome.resumed_units, 0, "{what}");
             rig::assert_whole(&catalog, &expected, what);
         }
+    }
+}
+
+/// A raster changed while it was read, the build killed, the raster changed back: its hash is that of
+/// the build, and units made of the changed raster were gone on with.
+#[test]
+fn no_unit_of_a_changed_raster_is_gone_on_with() {
+    let original = &SMALL.all[0];
+    let expected = original.undisturbed();
+    // What is read of one unit ahead is read before the change.
+    for (changed_at, killed_at) in [(0, 1), (1, 3), (3, 5)] {
+        let home = TempDir::new().unwrap();
+        let raster = home.path().join("heights.tif");
+        fs::copy(&original.raster, &raster).unwrap();
+        let subject = Subject { raster: raster.clone(), ..original.clone() };
+        let catalog = home.path().join("catalog");
+        let change = || {
+            let mut file = File::options().write(true).open(&raster).unwrap();
+            // Samples alone: they stand between the header and the directory.
+            file.seek(SeekFrom::Start(64)).unwrap();
+            file.write_all(&[0x40; 1 << 20]).unwrap();
+            file.set_modified(SystemTime::now() + Duration::from_secs(2)).unwrap();
+        };
+        let killed = std::panic::AssertUnwindSafe(|| {
+            ingest(&RealDisk, &subject.request(&catalog), |event| {
+                match event {
+                    Event::Building(progress) if progress.units_done == changed_at => change(),
+                    Event::Building(progress) if progress.units_done == killed_at => {
+                        std::panic::resume_unwind(Box::new("killed"))
+                    }
+                    _ => {}
+                }
+                Proceed::Yes
+            })
+        });
+        let _ = std::panic::catch_unwind(killed);
+        fs::copy(&original.raster, &raster).unwrap();
+        subject.resume(&catalog);
+        rig::assert_whole(&catalog, &expected, &format!("changed at {changed_at}"));
     }
 }

@@ -75,16 +75,32 @@ fn memory_is_bounded_whatever_the_frontier() {
         let catalog = TempDir::new().unwrap();
         let options =
             ["--page-size", "64", "--memory-mib", memory, "--threads", "2", "--note-every-s", "1"];
-        let summary = subject.ingest(catalog.path(), &options);
-        (summary["peak_memory_bytes"].as_u64().unwrap(), rig::archive(catalog.path()))
+        let output = subject.command(catalog.path(), &options).output().unwrap();
+        let summary: serde_json::Value = serde_json::from_slice(rig::stdout(&output)).unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        // A slow machine is told of progress, too.
+        let warning = said.lines().find(|line| line.starts_with("warning: ")).map(str::to_owned);
+        (summary["peak_memory_bytes"].as_u64().unwrap(), rig::archive(catalog.path()), warning)
     };
-    let (plenty, expected) = ingest("4096");
-    let (little, bytes) = ingest("64");
+    let (plenty, expected, _) = ingest("4096");
+    let (little, bytes, warning) = ingest("64");
+    assert_eq!(warning, None);
+    // Less than it can do with is told, with what it can do with.
+    let (least, the_same, warning) = ingest("1");
+    let wanted = warning.as_deref().and_then(|warning| {
+        let wanted =
+            warning.strip_prefix("warning: two work units need more than --memory-mib 1: ");
+        wanted?.strip_suffix(" is the least")
+    });
+    let wanted: u64 = wanted.unwrap_or_else(|| panic!("{warning:?}")).parse().unwrap();
+    assert!(the_same == expected);
+    assert_eq!(ingest(&wanted.to_string()).2, None, "{wanted} MiB");
     println!("peak {} MiB with plenty, {} MiB of 64", plenty >> 20, little >> 20);
     assert!(bytes == expected);
     // Where the system does not tell, there is nothing to compare.
     if cfg!(target_os = "linux") {
         assert!(plenty > 66 << 20, "{plenty}: nothing had to go to the scratch file");
         assert!(little < 64 << 20, "{little}");
+        assert!(least < wanted << 20, "{least} bytes, {wanted} MiB were said to do");
     }
 }

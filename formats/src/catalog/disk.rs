@@ -12,7 +12,7 @@ use std::path::Path;
 ///   [`io::ErrorKind::AlreadyExists`] if the new name is taken.
 /// * **Durable.** What `sync_file` and `sync_folder` return from survives a power failure.
 ///
-/// The test twin in `formats/tests/crash.rs` fails from a chosen step on, as a killed process
+/// The test twin in `formats/tests/catalog/dying.rs` fails from a chosen step on, as a killed process
 /// would.
 pub trait Disk: Send + Sync {
     /// Creates the folder and those above it, if they are not there.

@@ -12,6 +12,7 @@ mod manifest;
 
 mod build;
 mod publish;
+mod stray;
 
 use std::fs;
 use std::io;
@@ -21,7 +22,8 @@ pub use build::Build;
 pub use disk::{Disk, RealDisk};
 pub use error::CatalogError;
 pub use manifest::{DatasetRecord, Manifest};
-pub use publish::{Existing, NewDataset, publish_build, remove_dataset};
+pub use publish::{Existing, NewDataset, publish_build, publish_stray, remove_dataset};
+pub use stray::stray;
 
 use crate::archive::Archive;
 use crate::body::Body;

@@ -1,7 +1,7 @@
 //! Changing a catalog: one atomic step a change.
 
 use std::cell::Cell;
-use std::fs;
+use std::fs::{self, File};
 use std::io;
 use std::path::Path;
 
@@ -64,43 +64,11 @@ pub struct NewDataset {
 pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, CatalogError> {
     build.sync()?;
     let (disk, folder, path) = (build.disk, build.folder.as_path(), build.path());
-    let content = format!("{:016x}", dataset.content);
-    let name = DatasetRecord::file_of(&dataset.name, &content);
     let archives = folder.join(ARCHIVES);
-    let target = archives.join(&name);
+    let target = archives.join(dataset.file());
 
     let in_place = Cell::new(false);
-    let step = |newest: Option<Manifest>| {
-        let mut manifest = newest.unwrap_or_else(|| Manifest::empty(dataset.body.clone()));
-        if manifest.datasets.is_empty() {
-            manifest.body = dataset.body.clone();
-        }
-        if !manifest.body.same_as(&dataset.body) {
-            return Err(CatalogError::OtherBody {
-                catalog: manifest.body.name,
-                raster: dataset.body.name.clone(),
-            });
-        }
-        let before = manifest.datasets.iter().find(|record| record.name == dataset.name);
-        // Whoever began this build may have looked before another was published.
-        if dataset.existing == Existing::Keep && before.is_some_and(|record| record.file != name) {
-            return Err(CatalogError::Exists { name: dataset.name.clone() });
-        }
-        let bounds = bounds_of(build.source()?, &path, &manifest.body)?;
-        let item = before.map_or_else(|| manifest.free_item(), |record| record.item);
-        let record = DatasetRecord {
-            name: dataset.name.clone(),
-            item,
-            file: name.clone(),
-            kind: dataset.kind,
-            priority: dataset.priority,
-            bytes: dataset.bytes,
-            content: content.clone(),
-            source: dataset.source.clone(),
-        };
-        manifest.put_in(record, bounds);
-        Ok(manifest)
-    };
+    let step = |newest| dataset.put_in(newest, &path, || build.source());
     // Once the manifest is written only names change, which takes no room. What stands beside the
     // archive goes while the name of the build is still ours.
     let ready = || {
@@ -121,6 +89,78 @@ pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, Catal
         let _ = build.discard();
     }
     published
+}
+
+/// Makes a [`stray`](super::stray) a dataset of its catalog, as [`publish_build`] does a build.
+///
+/// # Errors
+///
+/// [`CatalogError::Missing`] if another change has swept it meanwhile; else as for a build.
+pub fn publish_stray(
+    disk: &dyn Disk,
+    folder: &Path,
+    dataset: &NewDataset,
+) -> Result<u64, CatalogError> {
+    let archives = folder.join(ARCHIVES);
+    let path = archives.join(dataset.file());
+    let source = || match File::open(&path).and_then(FileSource::new) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            Err(CatalogError::Missing { path: path.clone() })
+        }
+        opened => opened.map_err(|source| CatalogError::io("open", &path, source)),
+    };
+    let step = |newest| dataset.put_in(newest, &path, source);
+    // Whoever put it in its place may have been killed before its name was on the medium.
+    let ready = || {
+        disk.sync_folder(&archives).map_err(|source| CatalogError::io("sync", &archives, source))
+    };
+    change(disk, folder, step, ready)
+}
+
+impl NewDataset {
+    /// The name of its archive.
+    fn file(&self) -> String {
+        DatasetRecord::file_of(&self.name, &format!("{:016x}", self.content))
+    }
+
+    /// The manifest that has it, in place of one of its name; its archive is `source`, at `path`.
+    fn put_in(
+        &self,
+        newest: Option<Manifest>,
+        path: &Path,
+        source: impl Fn() -> Result<FileSource, CatalogError>,
+    ) -> Result<Manifest, CatalogError> {
+        let mut manifest = newest.unwrap_or_else(|| Manifest::empty(self.body.clone()));
+        if manifest.datasets.is_empty() {
+            manifest.body = self.body.clone();
+        }
+        if !manifest.body.same_as(&self.body) {
+            return Err(CatalogError::OtherBody {
+                catalog: manifest.body.name,
+                raster: self.body.name.clone(),
+            });
+        }
+        let file = self.file();
+        let before = manifest.datasets.iter().find(|record| record.name == self.name);
+        // Whoever began this build may have looked before another was published.
+        if self.existing == Existing::Keep && before.is_some_and(|record| record.file != file) {
+            return Err(CatalogError::Exists { name: self.name.clone() });
+        }
+        let bounds = bounds_of(source()?, path, &manifest.body)?;
+        let item = before.map_or_else(|| manifest.free_item(), |record| record.item);
+        let record = DatasetRecord {
+            name: self.name.clone(),
+            item,
+            file,
+            kind: self.kind,
+            priority: self.priority,
+            bytes: self.bytes,
+            content: format!("{:016x}", self.content),
+            source: self.source.clone(),
+        };
+        manifest.put_in(record, bounds);
+        Ok(manifest)
+    }
 }
 
 /// Removes the dataset called `name` and returns the generation without it.

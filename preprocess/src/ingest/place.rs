@@ -1,14 +1,13 @@
-//! Where a build works in its catalog, and how much memory it has there.
+//! Building an archive in its place, and how much memory there is for it.
 
 use std::io::{self, BufWriter, Write};
 use std::sync::Arc;
 
-use areoid_formats::archive::{Description, Written, recover};
-use areoid_formats::catalog::{Build, Disk};
+use areoid_formats::archive::{Description, Written};
+use areoid_formats::catalog::Build;
 use areoid_formats::page::Kind;
-use areoid_formats::storage::ByteSource as _;
 
-use super::request::{Event, IngestError, Leftover, Request, Unfinished, Watch};
+use super::request::{Event, IngestError, Request, Watch, tell};
 use crate::build::{self, Begun, Leaves as _, Means, Site};
 use crate::build_error::BuildError;
 use crate::estimate::Estimate;
@@ -18,40 +17,6 @@ use crate::note::Note;
 use crate::raster::Overflow;
 use crate::schedule::Schedule;
 use crate::scratch::{Aside, Scratch};
-
-/// The place of a build, what is gone on with there, and what is told of what was left.
-pub(super) type Place<'a> = (Build<'a>, Option<Begun>, Option<Leftover>);
-
-/// Opens the place of the build, and what is left there of an earlier one that can be gone on with.
-pub(super) fn begin<'a>(
-    disk: &'a dyn Disk,
-    request: &Request,
-    description: &Description,
-) -> Result<Place<'a>, IngestError> {
-    let (folder, name) = (&request.catalog, &description.dataset);
-    let mut build = Build::resume(disk, folder, name)?;
-    let source = build.source()?;
-    let left = !source.is_empty();
-    if request.unfinished == Unfinished::Discard {
-        // What cannot be read could not have been gone on with.
-        let ours = recover::is_begun(&source, description).unwrap_or(false);
-        build.cut(0)?;
-        let leftover = if ours { Leftover::Discarded } else { Leftover::Unrelated };
-        return Ok((build, None, left.then_some(leftover)));
-    }
-    let archive = recover::unfinished(&source, description)
-        .map_err(|source| IngestError::Leftover { dataset: name.clone(), source })?;
-    let unrelated = left && archive.is_none();
-    let Some(archive) = archive.filter(|archive| archive.units > 0) else {
-        build.cut(0)?;
-        return Ok((build, None, unrelated.then_some(Leftover::Unrelated)));
-    };
-    build.cut(archive.end)?;
-    let note = build.last_note()?.and_then(|note| Note::from_bytes(&note));
-    let noted = note.as_ref().map_or(0, |note| note.units).min(archive.units);
-    let leftover = Leftover::Resumed { units: archive.units, again: archive.units - noted };
-    Ok((build, Some(Begun { archive, note }), Some(leftover)))
-}
 
 /// Bytes of heads, padding and small payloads that are written together; payloads of this size go
 /// to the file without a copy.
@@ -97,16 +62,22 @@ pub(super) fn write(
     let scratch = Scratch::new(build.scratch()?, &named.unwrap_or_default());
     let scratch = scratch.map_err(|error| failed(BuildError::Scratch(error)))?;
     let scratch = Arc::new(scratch);
-    let spare_bytes = request.memory_bytes.saturating_sub(step_bytes(description, mosaic));
-    watch(Event::Measuring);
+    let least_bytes = step_bytes(description, mosaic);
+    if request.memory_bytes < least_bytes {
+        tell(watch, Event::ShortOfMemory { least_bytes })?;
+    }
+    let spare_bytes = request.memory_bytes.saturating_sub(least_bytes);
+    tell(watch, Event::Measuring)?;
     let pyramid = description.grid.pyramid();
     let done = begun.as_ref().map_or(0, |begun| begun.archive.units) as f64;
     let units = Schedule::new(pyramid, description.unit_pages, HALO).remaining().max(1) as f64;
     let estimate = threads.install(|| {
         let left = 1.0 - done / units;
-        Estimate::of(pyramid).measure(description, mosaic, &scratch, spare_bytes, left)
+        let mut go_on = || watch(Event::Measuring);
+        let estimate = Estimate::of(pyramid);
+        estimate.measure(description, mosaic, &scratch, spare_bytes, left, &mut go_on)
     });
-    watch(Event::Estimated(estimate));
+    tell(watch, Event::Estimated(estimate))?;
     // A quarter for the rasters' blocks, which wait only where strips are wide.
     let aside = Arc::new(Aside::new(Arc::clone(&scratch)));
     mosaic.spill(&Arc::new(Overflow::new(aside, spare_bytes / 4)));
@@ -119,7 +90,7 @@ pub(super) fn write(
         build::build(description, mosaic, site, &means, begun, watch)
     });
     if !matches!(built, Err(BuildError::Interrupted)) {
-        // What was made of rasters that changed is of no use, and says why they could not be read.
+        // Rasters that changed say why they could not be read.
         mosaic.check_unchanged()?;
     }
     let (site, written) = built.map_err(failed)?;

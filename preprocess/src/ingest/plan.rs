@@ -8,15 +8,14 @@ use std::sync::Arc;
 use areoid_formats::archive::{Archive, Description, Source, SourceFile};
 use areoid_formats::body::Body;
 use areoid_formats::catalog::{Catalog, CatalogError};
-use areoid_formats::codec::{Quantum, QuantumError};
+use areoid_formats::codec::Quantum;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::UNIT_PAGES;
-use super::request::{Event, IngestError, Reading, Request, Watch};
-use crate::build::Proceed;
+use super::request::{Event, IngestError, Reading, Request, Watch, tell};
 use crate::feather::FEATHER_TEXELS;
 use crate::mosaic::{Mosaic, MosaicError};
 use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
@@ -128,14 +127,15 @@ pub fn open(
 }
 
 /// The step heights are stored on.
-fn quantum(kind: Kind, info: &RasterInfo, step_m: Option<f64>) -> Result<Quantum, QuantumError> {
-    match (kind, step_m.filter(|&step| step != 0.0), info.sample) {
+fn quantum(kind: Kind, info: &RasterInfo, step_m: Option<f64>) -> Result<Quantum, IngestError> {
+    let (step, offset) = match (kind, step_m.filter(|&step| step != 0.0), info.sample) {
         (Kind::Color | Kind::Normal, ..) | (_, None, SampleType::F32 | SampleType::F64) => {
-            Ok(Quantum::NONE)
+            return Ok(Quantum::NONE);
         }
-        (_, Some(step), _) => Quantum::new(step, 0.0),
-        (_, None, _) => Quantum::new(info.scale.abs(), info.offset),
-    }
+        (_, Some(step), _) => (step, 0.0),
+        (_, None, _) => (info.scale.abs(), info.offset),
+    };
+    Quantum::new(step, offset).map_err(|_| IngestError::Step { step, offset })
 }
 
 /// The name of a kind of latitudes on the command line.
@@ -153,10 +153,7 @@ fn fingerprints(paths: &[PathBuf], watch: Watch<'_>) -> Result<Vec<SourceFile>, 
     let (mut done, bytes) = (0, paths.iter().map(length).sum());
     let mut count = |read| {
         done += read;
-        match watch(Event::Hashing { done, bytes }) {
-            Proceed::Yes => Ok(()),
-            Proceed::No => Err(IngestError::Interrupted),
-        }
+        tell(watch, Event::Hashing { done, bytes })
     };
     paths.iter().map(|path| fingerprint(path, &mut count)).collect()
 }

@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use areoid_formats::archive::{ArchiveError, Summary};
 use areoid_formats::catalog::{CatalogError, Existing};
-use areoid_formats::codec::QuantumError;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
 
@@ -71,7 +70,7 @@ pub struct Reading {
     pub latitudes: Option<LatitudeKind>,
 }
 
-/// What an ingest tells of itself, in this order.
+/// What an ingest tells of itself, in this order. The answer is heeded, but of the last.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Event {
@@ -84,13 +83,25 @@ pub enum Event {
         /// Bytes of all files.
         bytes: u64,
     },
+    /// It checks what is left of a build, to go on with it.
+    Checking {
+        /// Bytes checked.
+        done: u64,
+        /// Bytes that are left.
+        bytes: u64,
+    },
     /// A build was left that did not come to its end.
     Leftover(Leftover),
+    /// It will use more memory than it may.
+    ShortOfMemory {
+        /// What it needs, whatever it may use, in bytes.
+        least_bytes: u64,
+    },
     /// It begins to measure a few leaves, if there are many.
     Measuring,
     /// It begins to build.
     Estimated(Estimate),
-    /// It has done a work unit.
+    /// It begins with work units, or has done one.
     Building(Progress),
     /// It begins to make durable and public what it built.
     Publishing,
@@ -99,13 +110,16 @@ pub enum Event {
 /// What becomes of a build that was left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Leftover {
-    /// It is one of the same input with the same options, and gone on with.
+    /// It is one of the same input with the same options, and gone on with: told when the build
+    /// begins and its note was tried.
     Resumed {
         /// Its work units.
         units: u64,
         /// Those that are done again, without being written.
         again: u64,
     },
+    /// It is done, of the same input with the same options, and only not published: now it is.
+    Whole,
     /// It could have been gone on with, but was to be discarded.
     Discarded,
     /// It is one of another input, or with other options: discarded.
@@ -166,9 +180,14 @@ pub enum IngestError {
         /// Why.
         source: ArchiveError,
     },
-    /// A step that heights cannot be stored on.
-    #[error(transparent)]
-    Step(#[from] QuantumError),
+    /// A step that heights cannot be stored on, asked for or the raster's own.
+    #[error("heights cannot be stored on a step of {step:?} m from {offset:?} m: give --step-m")]
+    Step {
+        /// The step in meters.
+        step: f64,
+        /// A height on it, in meters.
+        offset: f64,
+    },
     /// A request that makes no sense.
     #[error("{0}")]
     Request(String),
@@ -178,13 +197,36 @@ pub enum IngestError {
     /// The threads cannot be started.
     #[error("cannot start the threads: {0}")]
     Threads(String),
+    /// Any of these, of a cause that may go away, and what is built so far is kept.
+    #[error(transparent)]
+    Kept(Box<IngestError>),
 }
 
 impl IngestError {
-    /// Whether the ingest left a build that can be gone on with, if it came past its first unit.
+    /// Whether the ingest left a build that [`Unfinished::Resume`] goes on with.
     #[must_use]
     pub fn can_be_resumed(&self) -> bool {
-        matches!(self, Self::Build { source, .. } if source.can_be_resumed())
+        matches!(self, Self::Kept(_))
+    }
+
+    /// Whether the caller asked to stop.
+    #[must_use]
+    pub fn is_interruption(&self) -> bool {
+        match self {
+            Self::Kept(error) => error.is_interruption(),
+            Self::Build { source, .. } => matches!(**source, BuildError::Interrupted),
+            error => matches!(error, Self::Interrupted),
+        }
+    }
+
+    /// Whether the same ingest of the same rasters may come to its end another time.
+    pub(super) fn may_go_away(&self) -> bool {
+        match self {
+            Self::Build { source, .. } => source.may_go_away(),
+            Self::Catalog(error) => matches!(**error, CatalogError::Io { .. }),
+            Self::Raster(error) => matches!(**error, RasterError::Io { .. }),
+            error => matches!(error, Self::Interrupted | Self::Threads(_) | Self::Kept(_)),
+        }
     }
 }
 
@@ -200,6 +242,13 @@ macro_rules! boxed {
 }
 boxed!(RasterError: Raster, MosaicError: Mosaic, CatalogError: Catalog);
 
-/// Who is told of events and asked whether to go on. Only while hashing and after a work unit is
-/// the answer heeded.
+/// Who is told of events and asked whether to go on.
 pub(super) type Watch<'a> = &'a mut (dyn FnMut(Event) -> Proceed + Send);
+
+/// Tells of an event before the build begins.
+pub(super) fn tell(watch: Watch<'_>, event: Event) -> Result<(), IngestError> {
+    match watch(event) {
+        Proceed::Yes => Ok(()),
+        Proceed::No => Err(IngestError::Interrupted),
+    }
+}

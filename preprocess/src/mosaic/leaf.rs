@@ -57,6 +57,10 @@ impl Leaves for Mosaic {
         }
     }
 
+    fn check_unchanged(&self) -> Result<(), RasterError> {
+        Mosaic::check_unchanged(self)
+    }
+
     fn is_whole(&self) -> bool {
         self.kind == Kind::Height && self.parts.iter().all(|part| part.raster.info().is_whole())
     }
