@@ -159,9 +159,8 @@ pub fn build<W: Site + Send>(
     begun: Option<Begun>,
     watch: impl FnMut(Progress) -> Proceed + Send,
 ) -> Result<(W, Written), BuildError> {
-    let meters = description.quantum == (Quantum { step: 1.0, offset: 0.0 });
     match description.kind {
-        Kind::Height if meters && leaves.is_whole() => {
+        Kind::Height if is_of_whole_heights(description, leaves) => {
             build_of::<i16, W>(description, leaves, site, means, begun, watch)
         }
         Kind::Height => build_of::<f32, W>(description, leaves, site, means, begun, watch),
@@ -169,6 +168,11 @@ pub fn build<W: Site + Send>(
             build_of::<u8, W>(description, leaves, site, means, begun, watch)
         }
     }
+}
+
+/// Whether pages are of whole heights from reading to writing.
+pub(crate) fn is_of_whole_heights(description: &Description, leaves: &dyn Leaves) -> bool {
+    description.quantum == (Quantum { step: 1.0, offset: 0.0 }) && leaves.is_whole()
 }
 
 fn build_of<S: Texel, W: Site + Send>(

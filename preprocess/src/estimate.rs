@@ -25,7 +25,7 @@ use areoid_formats::grid::{Grid, Outline};
 use areoid_formats::pyramid::Pyramid;
 
 use crate::build::{self, Leaves, Means, Proceed};
-use crate::mosaic::Mosaic;
+use crate::origin::Origin;
 use crate::raster::RasterError;
 use crate::scratch::Scratch;
 use crate::tile::Raw;
@@ -82,7 +82,7 @@ impl Estimate {
     pub fn measure(
         self,
         description: &Description,
-        mosaic: &Mosaic,
+        origin: &dyn Origin,
         scratch: &Arc<Scratch>,
         memory_bytes: u64,
         left: f64,
@@ -92,13 +92,13 @@ impl Estimate {
             return self;
         }
         let largest = (self.texels / SHARE).min(memory_bytes / 4);
-        let sample = Sample::choose(description, mosaic, largest);
+        let sample = Sample::choose(description, origin, largest);
         // A few leaves keep a few threads busy badly, and one well.
         let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().ok();
         let measured = sample
             .zip(alone)
-            .and_then(|(sample, alone)| alone.install(|| sample.measure(mosaic, scratch, go_on)));
-        Self { measured: measured.map(|figures| figures.scaled(self, mosaic, left)), ..self }
+            .and_then(|(sample, alone)| alone.install(|| sample.measure(origin, scratch, go_on)));
+        Self { measured: measured.map(|figures| figures.scaled(self, origin, left)), ..self }
     }
 }
 
@@ -122,7 +122,7 @@ struct Figures {
 
 impl Sample {
     /// Leaves for which at most so many pixels are decoded.
-    fn choose(description: &Description, mosaic: &Mosaic, largest_px: u64) -> Option<Self> {
+    fn choose(description: &Description, origin: &dyn Origin, largest_px: u64) -> Option<Self> {
         let pyramid = description.grid.pyramid();
         let (rows, cols) = pyramid.pages(pyramid.finest())?;
         if rows < 2 || cols < 3 {
@@ -138,7 +138,7 @@ impl Sample {
         let spread = [pair(at(1, rows), at(5, cols)), pair(at(3, rows), at(1, cols))];
         let spread = [spread[0], spread[1], pair(at(5, rows), at(3, cols))].concat();
         let in_a_row = [1, 3, 5].map(|sixth| pair(at(3, rows), at(sixth, cols))).concat();
-        let affordable = |leaves: &Vec<PageAddress>| mosaic.decoded_for(leaves) <= largest_px;
+        let affordable = |leaves: &Vec<PageAddress>| origin.decoded_for(leaves) <= largest_px;
         let leaves = [spread, in_a_row].into_iter().find(affordable)?;
 
         let (grid, interior) = (&description.grid, pyramid.interior());
@@ -157,8 +157,13 @@ impl Sample {
         (pages == Some((1, LEAVES))).then_some(Self { leaves, description })
     }
 
-    fn measure(&self, mosaic: &Mosaic, scratch: &Arc<Scratch>, go_on: GoOn<'_>) -> Option<Figures> {
-        let apart = mosaic.apart();
+    fn measure(
+        &self,
+        origin: &dyn Origin,
+        scratch: &Arc<Scratch>,
+        go_on: GoOn<'_>,
+    ) -> Option<Figures> {
+        let apart = origin.apart();
         let start = Instant::now();
         let read = |&leaf: &PageAddress| match go_on() {
             Proceed::Yes => apart.read(leaf).ok(),
@@ -188,10 +193,10 @@ impl Sample {
 }
 
 impl Figures {
-    fn scaled(&self, all: Estimate, mosaic: &Mosaic, left: f64) -> Measured {
+    fn scaled(&self, all: Estimate, origin: &dyn Origin, left: f64) -> Measured {
         let threads = rayon::current_num_threads() as f64;
-        let blocks = mosaic.blocks() as f64 / self.decoded_blocks.max(1) as f64;
-        let texels = f64::from(LEAVES) * f64::from(mosaic.grid().pyramid().interior()).powi(2);
+        let blocks = origin.blocks() as f64 / self.decoded_blocks.max(1) as f64;
+        let texels = f64::from(LEAVES) * f64::from(origin.grid().pyramid().interior()).powi(2);
         // Levels above the leaves have a quarter of them here, a third in all.
         let above = (4.0 / 3.0) / (5.0 / 4.0);
         let building_s = self.building_s * above * all.texels as f64 / texels;

@@ -30,6 +30,7 @@ pub mod build_error;
 mod shop;
 
 pub mod build;
+pub mod origin;
 
 pub mod mosaic;
 

@@ -44,7 +44,7 @@ pub fn ingest(
     let start = Instant::now();
     tell(&mut watch, Event::Opening)?;
     let mut catalog = newest(&request.catalog)?;
-    let (description, mut mosaic) = plan(request, catalog.as_ref(), &mut watch)?;
+    let (description, mut origin) = plan(request, catalog.as_ref(), &mut watch)?;
     let mut outcome = Outcome {
         dataset: description.dataset.clone(),
         already_there: false,
@@ -115,7 +115,7 @@ pub fn ingest(
     };
     let told = leftover.map_or(Ok(()), |leftover| tell(&mut note, Event::Leftover(leftover)));
     let written = told
-        .and_then(|()| write(request, &description, &mut mosaic, (&mut build, begun), &mut note));
+        .and_then(|()| write(request, &description, &mut *origin, (&mut build, begun), &mut note));
     let written = match written {
         Ok(written) => written,
         Err(error) => return Err(stopped(build, unit_end, error)),
@@ -125,7 +125,7 @@ pub fn ingest(
     let published = publish_build(build, dataset);
     outcome.generation = published.map_err(|error| kept(error.into()))?;
     (outcome.summary, outcome.bytes) = (written.summary, written.bytes);
-    outcome.decoded_blocks = mosaic.decoded_blocks();
+    outcome.decoded_blocks = origin.decoded_blocks();
     outcome.seconds = start.elapsed().as_secs_f64();
     Ok(outcome)
 }

@@ -8,12 +8,12 @@ use areoid_formats::catalog::Build;
 use areoid_formats::page::Kind;
 
 use super::request::{Event, IngestError, Request, Watch, tell};
-use crate::build::{self, Begun, Leaves as _, Means, Site};
+use crate::build::{self, Begun, Means, Site, is_of_whole_heights};
 use crate::build_error::BuildError;
 use crate::estimate::Estimate;
 use crate::feather::HALO;
-use crate::mosaic::Mosaic;
 use crate::note::Note;
+use crate::origin::Origin;
 use crate::raster::Overflow;
 use crate::schedule::Schedule;
 use crate::scratch::{Aside, Scratch};
@@ -46,7 +46,7 @@ impl Site for Buffered<'_, '_> {
 pub(super) fn write(
     request: &Request,
     description: &Description,
-    mosaic: &mut Mosaic,
+    origin: &mut dyn Origin,
     (build, begun): (&mut Build<'_>, Option<Begun>),
     watch: Watch<'_>,
 ) -> Result<Written, IngestError> {
@@ -62,7 +62,7 @@ pub(super) fn write(
     let scratch = Scratch::new(build.scratch()?, &named.unwrap_or_default());
     let scratch = scratch.map_err(|error| failed(BuildError::Scratch(error)))?;
     let scratch = Arc::new(scratch);
-    let least_bytes = step_bytes(description, mosaic);
+    let least_bytes = step_bytes(description, origin);
     if request.memory_bytes < least_bytes {
         tell(watch, Event::ShortOfMemory { least_bytes })?;
     }
@@ -75,23 +75,23 @@ pub(super) fn write(
         let left = 1.0 - done / units;
         let mut go_on = || watch(Event::Measuring);
         let estimate = Estimate::of(pyramid);
-        estimate.measure(description, mosaic, &scratch, spare_bytes, left, &mut go_on)
+        estimate.measure(description, origin, &scratch, spare_bytes, left, &mut go_on)
     });
     tell(watch, Event::Estimated(estimate))?;
     // A quarter for the rasters' blocks, which wait only where strips are wide.
     let aside = Arc::new(Aside::new(Arc::clone(&scratch)));
-    mosaic.spill(&Arc::new(Overflow::new(aside, spare_bytes / 4)));
+    origin.spill(&Arc::new(Overflow::new(aside, spare_bytes / 4)));
     let frontier_bytes = spare_bytes - spare_bytes / 4;
     let means = Means { scratch, frontier_bytes, note_every: request.note_every };
-    let mosaic = &*mosaic;
+    let origin = &*origin;
     let site = Buffered(BufWriter::with_capacity(WRITTEN_TOGETHER, build));
     let built = threads.install(|| {
         let watch = |progress| watch(Event::Building(progress));
-        build::build(description, mosaic, site, &means, begun, watch)
+        build::build(description, origin, site, &means, begun, watch)
     });
     if !matches!(built, Err(BuildError::Interrupted)) {
         // Rasters that changed say why they could not be read.
-        mosaic.check_unchanged()?;
+        origin.check_unchanged()?;
     }
     let (site, written) = built.map_err(failed)?;
     site.0.into_inner().map_err(|error| failed(BuildError::Write(error.into_error())))?;
@@ -101,14 +101,15 @@ pub(super) fn write(
 /// What a step of the build needs beside the pages that wait, in bytes: its leaves and those of the
 /// next unit, the pages fetched and made, with their finest texels where there may be holes, and the
 /// blocks that leaves are cut from.
-fn step_bytes(description: &Description, mosaic: &Mosaic) -> u64 {
+fn step_bytes(description: &Description, origin: &dyn Origin) -> u64 {
     const EVERYTHING_ELSE: u64 = 48 << 20;
     let side = u64::from(description.grid.pyramid().page_side());
     let texel = match description.kind {
+        Kind::Height if is_of_whole_heights(description, origin) => 2,
         Kind::Height => 4,
         Kind::Color | Kind::Normal => 3,
     };
     let unit = u64::from(description.unit_pages).pow(2) * side * side * texel;
-    let units = if mosaic.may_have_holes() { 7 } else { 5 };
+    let units = if origin.may_have_holes() { 7 } else { 5 };
     units * unit + EVERYTHING_ELSE
 }

@@ -18,6 +18,7 @@ use super::UNIT_PAGES;
 use super::request::{Event, IngestError, Reading, Request, Watch, tell};
 use crate::feather::FEATHER_TEXELS;
 use crate::mosaic::{Mosaic, MosaicError};
+use crate::origin::Origin;
 use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
 
 /// Opens the rasters and decides what becomes of them.
@@ -25,7 +26,7 @@ pub(super) fn plan(
     request: &Request,
     catalog: Option<&Catalog>,
     watch: Watch<'_>,
-) -> Result<(Description, Mosaic), IngestError> {
+) -> Result<(Description, Box<dyn Origin>), IngestError> {
     let catalog_body = catalog.filter(|c| !c.datasets().is_empty()).map(Catalog::body);
     let (rasters, crs, body) = open(&request.rasters, &request.reading, catalog_body)?;
     if let Some(catalog) = catalog_body.filter(|catalog| !catalog.same_as(&body)) {
@@ -70,7 +71,7 @@ pub(super) fn plan(
         unit_pages: UNIT_PAGES,
         source,
     };
-    Ok((description, mosaic))
+    Ok((description, Box::new(mosaic)))
 }
 
 /// The rasters of a dataset, what they are projected by, and the body they show.

@@ -1,6 +1,5 @@
 //! Leaves cut from the rasters of a mosaic.
 
-use std::collections::HashSet;
 use std::ops::Range;
 
 use areoid_formats::address::PageAddress;
@@ -58,7 +57,7 @@ impl Leaves for Mosaic {
     }
 
     fn check_unchanged(&self) -> Result<(), RasterError> {
-        Mosaic::check_unchanged(self)
+        self.parts.iter().try_for_each(|part| part.raster.check_unchanged())
     }
 
     fn is_whole(&self) -> bool {
@@ -95,20 +94,6 @@ impl Mosaic {
             }
         }
     }
-
-    /// Pixels of the blocks that are decoded for `leaves`.
-    #[must_use]
-    pub fn decoded_for(&self, leaves: &[PageAddress]) -> u64 {
-        let places = leaves.iter().map(|&leaf| Place::of(self.grid.pyramid(), leaf));
-        let places: Vec<_> = places.collect();
-        let pixels = |part: &Part| {
-            let overlaps = places.iter().filter_map(|&place| part.overlap(place));
-            let blocks: HashSet<_> = overlaps.flat_map(|at| part.blocks_of(&at)).collect();
-            let info = part.raster.info();
-            blocks.len() as u64 * u64::from(info.block_width) * u64::from(info.block_height)
-        };
-        self.parts.iter().map(pixels).sum()
-    }
 }
 
 /// A leaf with what alpha it needs; `None` if nothing is valid.
@@ -129,7 +114,7 @@ fn settled(mut raw: Raw, side: usize, place: Place) -> Option<Raw> {
 
 impl Place {
     /// Where a leaf's interior lies on the grid.
-    fn of(pyramid: &Pyramid, page: PageAddress) -> Self {
+    pub(super) fn of(pyramid: &Pyramid, page: PageAddress) -> Self {
         let (height, width) = pyramid.interior_size(page);
         let interior = pyramid.interior();
         Self { col: page.col * interior, row: page.row * interior, width, height }
@@ -141,7 +126,7 @@ impl Place {
 }
 
 /// What a raster and a leaf share.
-struct Overlap {
+pub(super) struct Overlap {
     /// In the raster's own pixels.
     cols: Range<u32>,
     rows: Range<u32>,
@@ -160,7 +145,7 @@ impl Part {
         info.nodata.is_none() && !info.has_alpha && !info.sample.is_float()
     }
 
-    fn overlap(&self, leaf: Place) -> Option<Overlap> {
+    pub(super) fn overlap(&self, leaf: Place) -> Option<Overlap> {
         let shared = |leaf: u32, length: u32, part: u32, used: u32| {
             let start = leaf.saturating_sub(part);
             let end = (leaf + length).saturating_sub(part).min(used);
@@ -172,7 +157,7 @@ impl Part {
     }
 
     /// Columns and rows of the blocks that hold what is shared.
-    fn blocks_of(&self, Overlap { cols, rows }: &Overlap) -> Vec<(u32, u32)> {
+    pub(super) fn blocks_of(&self, Overlap { cols, rows }: &Overlap) -> Vec<(u32, u32)> {
         let info = self.raster.info();
         let down = rows.start / info.block_height..=(rows.end - 1) / info.block_height;
         let across = cols.start / info.block_width..=(cols.end - 1) / info.block_width;

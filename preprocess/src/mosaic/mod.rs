@@ -9,14 +9,17 @@ mod leaf;
 
 pub use self::layout::{Layout, MosaicError, Placed};
 
+use std::collections::HashSet;
 use std::sync::Arc;
 
+use areoid_formats::address::PageAddress;
 use areoid_formats::grid::Grid;
 use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
 use areoid_formats::pyramid::Pyramid;
 
-use crate::raster::{BlockCache, Overflow, Raster, RasterError, RasterInfo};
+use crate::origin::Origin;
+use crate::raster::{BlockCache, Overflow, Raster, RasterInfo};
 
 /// Rasters placed on the grid that their pixels share.
 #[derive(Debug)]
@@ -75,54 +78,46 @@ impl Mosaic {
         let parts = layout.parts().iter().map(part).collect();
         Ok(Self { grid, kind, parts })
     }
+}
 
-    /// The same rasters, decoding blocks of its own, which stay as long as it does.
-    #[must_use]
-    pub fn apart(&self) -> Self {
+impl Origin for Mosaic {
+    fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    fn apart(&self) -> Box<dyn Origin> {
         let apart = |part: &Part| {
             let blocks = BlockCache::new(Arc::clone(&part.raster), |_, _| u32::MAX);
             Part { raster: Arc::clone(&part.raster), blocks, ..*part }
         };
         let parts = self.parts.iter().map(apart).collect();
-        Self { grid: self.grid.clone(), kind: self.kind, parts }
+        Box::new(Self { grid: self.grid.clone(), kind: self.kind, parts })
     }
 
-    /// Gives the blocks of all rasters together a budget: what is beyond it is
-    /// set aside.
-    ///
-    /// # Panics
-    ///
-    /// If a leaf has been read already.
-    pub fn spill(&mut self, overflow: &Arc<Overflow>) {
+    fn spill(&mut self, overflow: &Arc<Overflow>) {
         self.parts.iter_mut().for_each(|part| part.blocks.spill(Arc::clone(overflow)));
     }
 
-    /// The grid on which the leaves are the rasters' pixels.
-    #[must_use]
-    pub fn grid(&self) -> &Grid {
-        &self.grid
-    }
-
-    /// Whether the rasters are what they were when they were opened.
-    ///
-    /// # Errors
-    ///
-    /// [`RasterError::Modified`] if one was changed since, or [`RasterError::Io`].
-    pub fn check_unchanged(&self) -> Result<(), RasterError> {
-        self.parts.iter().try_for_each(|part| part.raster.check_unchanged())
-    }
-
-    /// Blocks decoded so far: each once.
-    #[must_use]
-    pub fn decoded_blocks(&self) -> u64 {
+    /// Each is decoded once.
+    fn decoded_blocks(&self) -> u64 {
         self.parts.iter().map(|part| part.blocks.decoded()).sum()
     }
 
-    /// Blocks of all rasters.
-    #[must_use]
-    pub fn blocks(&self) -> u64 {
+    fn blocks(&self) -> u64 {
         let blocks = self.parts.iter().map(|part| part.raster.info().blocks());
         blocks.map(|(across, down)| u64::from(across) * u64::from(down)).sum()
+    }
+
+    fn decoded_for(&self, leaves: &[PageAddress]) -> u64 {
+        let places = leaves.iter().map(|&leaf| Place::of(self.grid.pyramid(), leaf));
+        let places: Vec<_> = places.collect();
+        let pixels = |part: &Part| {
+            let overlaps = places.iter().filter_map(|&place| part.overlap(place));
+            let blocks: HashSet<_> = overlaps.flat_map(|at| part.blocks_of(&at)).collect();
+            let info = part.raster.info();
+            blocks.len() as u64 * u64::from(info.block_width) * u64::from(info.block_height)
+        };
+        self.parts.iter().map(pixels).sum()
     }
 }
 

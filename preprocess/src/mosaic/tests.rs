@@ -2,9 +2,8 @@
 
 use super::*;
 use crate::build::Leaves as _;
-use crate::raster::{Block, Outline as RasterOutline, SampleType, Samples};
+use crate::raster::{Block, Outline as RasterOutline, RasterError, SampleType, Samples};
 use crate::texel::Planes;
-use areoid_formats::address::PageAddress;
 use areoid_formats::body::Body;
 use areoid_formats::projection::Projection;
 
