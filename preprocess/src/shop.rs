@@ -215,13 +215,15 @@ impl<'a, S: Texel> Shop<'a, S> {
         for (page, raw) in raws {
             let (rows, cols) = pyramid.interior_size(page);
             let (rows, cols) = (rows as usize, cols as usize);
-            let Some(Raw { planes, alpha }) = raw else {
+            let Some(Raw { planes, alpha, source_error }) = raw else {
                 self.validity.insert(page, Validity::Empty);
                 continue;
             };
             let planes = S::channels(planes, alpha.as_deref());
             let (original, spans, range) = (None, None, S::NOTHING);
-            let tile = Tile { side, rows, cols, planes, original, coverage: alpha, spans, range };
+            let coverage = alpha;
+            let tile =
+                Tile { side, rows, cols, planes, original, coverage, spans, source_error, range };
             let validity = tile.coverage.as_ref().map_or(Validity::Full, |alpha| {
                 Validity::of(cols, (0..rows).map(|row| &alpha[tile.row(row)]))
             });

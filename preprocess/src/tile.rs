@@ -24,6 +24,9 @@ pub struct Raw {
     /// Alpha beside each texel, or `None` where all of the interior is opaque and valid. 0 is
     /// invalid.
     pub alpha: Option<Vec<u8>>,
+    /// The largest distance, in meters or codes, of the reconstruction of these texels from the
+    /// source's pixels at their centers in the interior; 0 where the texels are those pixels.
+    pub source_error: f32,
 }
 
 /// A page whose coverage is settled.
@@ -44,6 +47,8 @@ pub struct Tile<S> {
     /// The finest texels under each texel, a plane a channel; `None` for leaves, and where the
     /// source cannot have holes.
     pub spans: Option<Vec<Span<S>>>,
+    /// That of the leaf as it was read; 0 for coarser pages.
+    pub source_error: f32,
     /// Valid texels of the finished page, border included, and the finest under them are not less
     /// or greater than these.
     pub range: (S, S),
@@ -56,7 +61,7 @@ impl<S: Texel> Tile<S> {
         let planes = vec![vec![S::INVALID; side * side]; S::CHANNELS];
         let coverage = Some(vec![0; side * side]);
         let (original, spans, range) = (None, None, S::NOTHING);
-        Self { side, rows, cols, planes, original, coverage, spans, range }
+        Self { side, rows, cols, planes, original, coverage, spans, source_error: 0.0, range }
     }
 
     /// Where a texel of the interior lies.

@@ -244,9 +244,9 @@ fn range_of<S: Texel>(tile: &Tile<S>, parts: impl Iterator<Item = Range<usize>>)
     range
 }
 
-/// The largest |stored − original| in the interior.
+/// The largest |stored − original| in the interior, and how far the original was from the source.
 fn source_error<S: Texel>(tile: &Tile<S>) -> f32 {
-    let Some(original) = &tile.original else { return 0.0 };
+    let Some(original) = &tile.original else { return tile.source_error };
     let mut largest = 0.0_f64;
     for (stored, original) in tile.planes.iter().zip(original) {
         for row in 0..tile.rows {
@@ -255,7 +255,7 @@ fn source_error<S: Texel>(tile: &Tile<S>) -> f32 {
             largest = error.fold(largest, f64::max);
         }
     }
-    bound::rounded_up(largest)
+    bound::rounded_up(largest + f64::from(tile.source_error))
 }
 
 /// The place of a payload before the writer fills it in.
