@@ -16,7 +16,8 @@ use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
 use areoid_formats::pyramid::Pyramid;
 
-use crate::raster::{BlockCache, Overflow, Raster, RasterError, RasterInfo};
+use crate::once::Overflow;
+use crate::raster::{BlockCache, Raster, RasterError, RasterInfo};
 
 /// Rasters placed on the grid that their pixels share.
 #[derive(Debug)]
