@@ -14,7 +14,7 @@ use crate::estimate::Estimate;
 use crate::feather::HALO;
 use crate::note::Note;
 use crate::origin::Origin;
-use crate::raster::Overflow;
+use crate::once::Overflow;
 use crate::schedule::Schedule;
 use crate::scratch::{Aside, Scratch};
 
