@@ -18,8 +18,8 @@ use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
 use areoid_formats::pyramid::Pyramid;
 
-use crate::origin::Origin;
 use crate::once::Overflow;
+use crate::origin::Origin;
 use crate::raster::{BlockCache, Raster, RasterInfo};
 
 /// Rasters placed on the grid that their pixels share.

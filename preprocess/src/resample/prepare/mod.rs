@@ -132,6 +132,30 @@ impl Piece {
     }
 }
 
+/// The rectangles of a source that are read to make the tile in a column and row of tiles.
+#[must_use]
+pub fn reads(extension: Extension, filter: Filter, tile: (u32, u32)) -> Vec<Rect> {
+    pieces(extension, filter, tile).iter().map(Piece::rect).collect()
+}
+
+fn core(extension: Extension, (col, row): (u32, u32)) -> Rect {
+    let extent = extension.extent();
+    let span = |at: u32, len: u32| at * PREPARED..(at * PREPARED + PREPARED).min(len);
+    Rect { cols: span(col, extent.width), rows: span(row, extent.height) }
+}
+
+fn pieces(extension: Extension, filter: Filter, tile: (u32, u32)) -> Vec<Piece> {
+    let (core, halo) = (core(extension, tile), i64::from(filter.halo()));
+    let wide =
+        |range: std::ops::Range<u32>| i64::from(range.start) - halo..i64::from(range.end) + halo;
+    let runs = extension.rows(wide(core.rows));
+    let piece = |rows: Run| {
+        let cols = extension.cols(wide(core.cols.clone()), rows.first.turned);
+        cols.into_iter().map(move |cols| Piece { rows, cols })
+    };
+    runs.into_iter().flat_map(piece).collect()
+}
+
 impl PreparedSource {
     /// Prepares `source` for kernels that want `filter`; the tile at `(col, row)` of tiles will be
     /// released `uses(col, row)` times.
@@ -204,7 +228,7 @@ impl PreparedSource {
     /// The rectangles of the source that are read to make a tile.
     #[must_use]
     pub fn reads(&self, col: u32, row: u32) -> Vec<Rect> {
-        self.pieces(col, row).iter().map(Piece::rect).collect()
+        reads(self.extension, self.filter, (col, row))
     }
 
     /// A tile, made now if it was not yet.
@@ -234,25 +258,6 @@ impl PreparedSource {
         self.tiles.release(col, row);
     }
 
-    fn core(&self, col: u32, row: u32) -> Rect {
-        let extent = self.extension.extent();
-        let span = |at: u32, len: u32| at * PREPARED..(at * PREPARED + PREPARED).min(len);
-        Rect { cols: span(col, extent.width), rows: span(row, extent.height) }
-    }
-
-    fn pieces(&self, col: u32, row: u32) -> Vec<Piece> {
-        let (core, halo) = (self.core(col, row), i64::from(self.filter.halo()));
-        let wide = |range: std::ops::Range<u32>| {
-            i64::from(range.start) - halo..i64::from(range.end) + halo
-        };
-        let runs = self.extension.rows(wide(core.rows));
-        let piece = |rows: Run| {
-            let cols = self.extension.cols(wide(core.cols.clone()), rows.first.turned);
-            cols.into_iter().map(move |cols| Piece { rows, cols })
-        };
-        runs.into_iter().flat_map(piece).collect()
-    }
-
     fn make(&self, col: u32, row: u32) -> Result<Prepared, RasterError> {
         let rooms = || self.rooms.lock().unwrap_or_else(PoisonError::into_inner);
         let mut room = rooms().pop().unwrap_or_default();
@@ -262,10 +267,10 @@ impl PreparedSource {
     }
 
     fn make_in(&self, col: u32, row: u32, room: &mut Room) -> Result<Prepared, RasterError> {
-        let (core, halo) = (self.core(col, row), self.filter.halo() as usize);
+        let (core, halo) = (core(self.extension, (col, row)), self.filter.halo() as usize);
         let (width, height) = (core.cols.len() + 2 * halo, core.rows.len() + 2 * halo);
         room.blank(self.source.kind(), width * height);
-        for piece in self.pieces(col, row) {
+        for piece in pieces(self.extension, self.filter, (col, row)) {
             self.read(&piece, room, width)?;
         }
         let masked = room.settle(self.source.kind());

@@ -1,0 +1,168 @@
+//! A leaf of the target: tile by tile, with a ring around it to hold it against the source.
+
+use std::cell::RefCell;
+
+use areoid_formats::address::PageAddress;
+use areoid_formats::page::Kind;
+use areoid_formats::pyramid::PoleContact;
+
+use super::Resampler;
+use super::kernel::{Sampled, Scratch};
+use super::source::Source as _;
+use super::tile::{Coords, TargetTile};
+use super::window::Window;
+use crate::build::Leaves;
+use crate::raster::RasterError;
+use crate::texel::Planes;
+use crate::tile::Raw;
+
+/// Memory that leaves use again.
+#[derive(Debug, Default)]
+struct Room {
+    coords: Coords,
+    window: Window,
+    scratch: Scratch,
+    sampled: Sampled,
+}
+
+/// Texels of a leaf and of the ring around it, in a page's layout.
+struct Canvas {
+    side: usize,
+    /// Meters, or amounts of light.
+    planes: Vec<Vec<f32>>,
+    alpha: Vec<u8>,
+}
+
+impl Leaves for Resampler {
+    fn read(&self, page: PageAddress) -> Result<Option<Raw>, RasterError> {
+        thread_local! {
+            static ROOM: RefCell<Room> = RefCell::default();
+        }
+        let canvas = ROOM.with_borrow_mut(|room| self.canvas(page, room));
+        self.skip(page);
+        Ok(canvas?.and_then(|canvas| self.raw(page, canvas)))
+    }
+
+    fn skip(&self, page: PageAddress) {
+        for tile in super::named(&self.transform, page, self.resampling.kernel) {
+            self.prepared.release(tile.col, tile.row);
+        }
+    }
+
+    fn check_unchanged(&self) -> Result<(), RasterError> {
+        self.rasters.check_unchanged()
+    }
+
+    fn may_have_holes(&self) -> bool {
+        let source = self.transform.source();
+        let global = ![source.north, source.south].contains(&PoleContact::None);
+        !(self.rasters.is_solid() && global)
+    }
+
+    fn is_whole(&self) -> bool {
+        self.rasters.is_whole()
+    }
+}
+
+impl Resampler {
+    /// The texels of a leaf; `None` if none can be valid.
+    fn canvas(&self, page: PageAddress, room: &mut Room) -> Result<Option<Canvas>, RasterError> {
+        let pyramid = self.grid.pyramid();
+        let side = pyramid.page_side() as usize;
+        let (height, width) = pyramid.interior_size(page);
+        let [top, left] = [page.row, page.col].map(|at| i64::from(at * pyramid.interior()) - 1);
+        let (rows, cols) = (top..top + i64::from(height) + 2, left..left + i64::from(width) + 2);
+        let channels = self.prepared.channels();
+        let mut canvas: Option<Canvas> = None;
+        for tile in self.transform.tiles(rows, cols) {
+            if !self.sample(tile, room)? {
+                continue;
+            }
+            let canvas = canvas.get_or_insert_with(|| Canvas {
+                side,
+                planes: vec![vec![0.0; side * side]; channels],
+                alpha: vec![0; side * side],
+            });
+            let [row, col] = [tile.row - top, tile.col - left]
+                .map(|at| usize::try_from(at).expect("tiles lie in the leaf"));
+            canvas.lay(row * side + col, tile, &room.sampled);
+        }
+        Ok(canvas)
+    }
+
+    /// Samples a tile into the room; false if none of its texels can be valid.
+    fn sample(&self, tile: TargetTile, room: &mut Room) -> Result<bool, RasterError> {
+        let Room { coords, window, scratch, sampled } = room;
+        if self.transform.range(tile).is_none() {
+            return Ok(false);
+        }
+        let footprint = self.transform.coords(tile, coords);
+        let kernel = self.resampling.kernel;
+        if !window.assemble(&self.prepared, coords.range, kernel.reach(footprint))? {
+            return Ok(false);
+        }
+        kernel.sample(self.resampling.limit, coords, footprint, window, scratch, sampled);
+        Ok(true)
+    }
+
+    /// A leaf as a build takes it; `None` if nothing in it is valid.
+    fn raw(&self, page: PageAddress, canvas: Canvas) -> Option<Raw> {
+        let Canvas { side, mut planes, alpha } = canvas;
+        let (rows, cols) = self.grid.pyramid().interior_size(page);
+        let inside = alpha.chunks_exact(side).skip(1).take(rows as usize);
+        let inside = inside.flat_map(|row| &row[1..=cols as usize]);
+        let (least, greatest) =
+            inside.fold((u8::MAX, 0), |(low, high), &code| (code.min(low), code.max(high)));
+        if greatest == 0 {
+            return None;
+        }
+        let planes = match self.rasters.kind() {
+            Kind::Height if self.is_whole() => Planes::WholeHeight(whole(&planes[0], &alpha)),
+            Kind::Height => {
+                for (height, &code) in planes[0].iter_mut().zip(&alpha) {
+                    *height = if code == 0 { f32::NAN } else { *height };
+                }
+                Planes::Height(planes.swap_remove(0))
+            }
+            Kind::Color | Kind::Normal => Planes::Color(std::array::from_fn(|channel| {
+                let light = planes[channel].iter().zip(&alpha);
+                light
+                    .map(|(&light, &code)| if code == 0 { 0 } else { crate::texel::code(light) })
+                    .collect()
+            })),
+        };
+        Some(Raw { planes, alpha: (least < u8::MAX).then_some(alpha), source_error: 0.0 })
+    }
+}
+
+impl Canvas {
+    fn lay(&mut self, at: usize, tile: TargetTile, sampled: &Sampled) {
+        let lines = |row: usize| {
+            (
+                at + row * self.side..at + row * self.side + tile.cols,
+                row * tile.cols..(row + 1) * tile.cols,
+            )
+        };
+        for row in 0..tile.rows {
+            let (to, from) = lines(row);
+            for (plane, texels) in self.planes.iter_mut().zip(&sampled.planes) {
+                plane[to.clone()].copy_from_slice(&texels[from.clone()]);
+            }
+            match &sampled.alpha {
+                Some(alpha) => self.alpha[to].copy_from_slice(&alpha[from]),
+                None => self.alpha[to].fill(u8::MAX),
+            }
+        }
+    }
+}
+
+/// Heights rounded to whole meters, ties to even; 0 where invalid.
+fn whole(heights: &[f32], alpha: &[u8]) -> Vec<i16> {
+    let round = |(&height, &code): (&f32, &u8)| {
+        let limits = (f32::from(i16::MIN), f32::from(i16::MAX));
+        #[expect(clippy::cast_possible_truncation, reason = "clamped")]
+        let rounded = height.round_ties_even().clamp(limits.0, limits.1) as i16;
+        if code == 0 { 0 } else { rounded }
+    };
+    heights.iter().zip(alpha).map(round).collect()
+}
