@@ -12,12 +12,16 @@ use areoid_formats::catalog::RealDisk;
 use areoid_formats::codec::Quantum;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
+use areoid_formats::projection::Pole;
 use areoid_formats::pyramid::Pyramid;
+use areoid_formats::units::Meters;
 use areoid_preprocess::build::Progress;
 use areoid_preprocess::estimate::{Estimate, Measured};
 use areoid_preprocess::ingest::{
     Event, Existing, IngestError, Outcome, Reading, Request, Unfinished, ingest,
 };
+use areoid_preprocess::resample::kernel::{Kernel, RangeLimit};
+use areoid_preprocess::resample::target::TargetMap;
 use serde_json::json;
 
 use crate::args::numbers;
@@ -54,7 +58,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "NAME|A,B")]
     body: Option<String>,
 
-    /// The grid of the dataset. Only the raster's own is supported yet.
+    /// The grid of the dataset: the rasters' own, or one they are resampled to.
     #[arg(long, value_enum, default_value = "native")]
     grid: GridArg,
 
@@ -90,12 +94,21 @@ pub(crate) struct Args {
     #[arg(long, allow_hyphen_values = true, default_value_t = 0)]
     priority: i32,
 
-    /// How texels between pixels are found on another grid; a raster's own grid needs none.
+    /// How texels between pixels are found on another grid [default: spline]; a raster's own grid
+    /// needs none.
     #[arg(long, value_enum, value_name = "KERNEL")]
     kernel: Option<KernelArg>,
 
-    /// Meters to a texel of another grid. Not supported yet.
-    #[arg(long, value_name = "METERS")]
+    /// The degree of the spline kernel: 3 or 5.
+    #[arg(long, value_name = "DEGREE", default_value_t = 5, value_parser = spline_degree)]
+    spline_degree: u8,
+
+    /// Keep resampled texels within the range of the pixels around them.
+    #[arg(long)]
+    limit_range: bool,
+
+    /// Meters to a texel, where the grid's map is truest [default: those of the rasters].
+    #[arg(long, value_name = "METERS", value_parser = pixel_size)]
     pixel_size_m: Option<f64>,
 
     /// Memory to use: what exceeds it waits in a file beside the archive. Two work units must fit,
@@ -159,15 +172,14 @@ enum LatitudesArg {
 
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
-        if self.grid != GridArg::Native || self.pixel_size_m.is_some() {
-            let reason = "only the raster's own grid is supported yet: leave --grid and \
-                          --pixel-size-m away";
-            return Err(Failure::Misused(reason.to_owned()));
+        if self.grid == GridArg::Split {
+            return Err(Failure::Misused("--grid split is not supported yet".to_owned()));
         }
         if matches!(self.kind, Some(KindArg::Normal)) {
             return Err(Failure::Misused("--kind normal is not supported yet".to_owned()));
         }
-        if self.kernel.is_some() {
+        let own_grid = self.grid == GridArg::Native && self.pixel_size_m.is_none();
+        if self.kernel.is_some() && own_grid {
             output::say("warning: --kernel has no effect on the raster's own grid");
         }
         let as_json = self.json;
@@ -212,6 +224,25 @@ impl Args {
                 KindArg::Normal => Kind::Normal,
             }),
             step_m: self.step_m,
+            grid: match self.grid {
+                GridArg::Native | GridArg::Split => TargetMap::Native,
+                GridArg::Equirectangular => TargetMap::Equirectangular,
+                GridArg::PolarNorth => TargetMap::Polar(Pole::North),
+                GridArg::PolarSouth => TargetMap::Polar(Pole::South),
+            },
+            pixel_size: self.pixel_size_m.map(Meters),
+            kernel: match self.kernel.unwrap_or(KernelArg::Spline) {
+                KernelArg::Nearest => Kernel::Nearest,
+                KernelArg::Bilinear => Kernel::Bilinear,
+                KernelArg::Cubic => Kernel::Cubic,
+                KernelArg::Lanczos => Kernel::Lanczos,
+                KernelArg::Spline => match self.spline_degree {
+                    3 => Kernel::CubicSpline,
+                    _ => Kernel::QuinticSpline,
+                },
+                KernelArg::Average => Kernel::Average,
+            },
+            limit: if self.limit_range { RangeLimit::Taps } else { RangeLimit::None },
             page_side: self.page_size,
             priority: self.priority,
             threads: self.threads.map(usize::from),
@@ -248,6 +279,22 @@ fn page_side(text: &str) -> Result<u32, String> {
     } else {
         Err("expected an even number from 8 to 4096".to_owned())
     }
+}
+
+/// A degree that there is a spline of.
+fn spline_degree(text: &str) -> Result<u8, String> {
+    match text {
+        "3" => Ok(3),
+        "5" => Ok(5),
+        _ => Err("expected 3 or 5".to_owned()),
+    }
+}
+
+/// A positive number of meters.
+fn pixel_size(text: &str) -> Result<f64, String> {
+    let meters: f64 = text.parse().map_err(|error| format!("{error}"))?;
+    let positive = meters > 0.0 && meters.is_finite();
+    if positive { Ok(meters) } else { Err("expected a positive number".to_owned()) }
 }
 
 /// A number of seconds, up to a year.

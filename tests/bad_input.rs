@@ -3,6 +3,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a failed test may panic")]
 
+use areoid_preprocess::resample::kernel::{Kernel, RangeLimit};
+use areoid_preprocess::resample::target::TargetMap;
 use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -276,6 +278,10 @@ fn a_full_disk_is_an_error_and_changes_nothing() {
         name: Some("second".to_owned()),
         kind: None,
         step_m: None,
+        grid: TargetMap::Native,
+        pixel_size: None,
+        kernel: Kernel::QuinticSpline,
+        limit: RangeLimit::None,
         page_side: 8,
         priority: 0,
         threads: Some(1),

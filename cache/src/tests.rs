@@ -120,6 +120,7 @@ fn planet(name: &str, grid: Grid, kind: Kind) -> (Description, Vec<u8>) {
         priority: 0,
         feather_texels: 0,
         unit_pages: 8,
+        resampling: None,
         source: Source::default(),
     };
     let mut entries = HashMap::new();

@@ -84,6 +84,7 @@ impl Raster {
             feather_texels: 32,
             // Small units make the schedule meet its own edges in small rasters too.
             unit_pages: 2,
+            resampling: None,
             source: Source::default(),
         };
         let (interior, whole) = (page_side as usize - 2, is_whole(self));

@@ -1,5 +1,7 @@
 //! Rasters, catalogs, and the binary run on them.
 
+use areoid_preprocess::resample::kernel::{Kernel, RangeLimit};
+use areoid_preprocess::resample::target::TargetMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -148,6 +150,10 @@ impl Subject {
             name: Some(NAME.to_owned()),
             kind: None,
             step_m: self.step_m,
+            grid: TargetMap::Native,
+            pixel_size: None,
+            kernel: Kernel::QuinticSpline,
+            limit: RangeLimit::None,
             page_side: PAGE,
             priority: 0,
             threads: Some(2),

@@ -34,6 +34,18 @@ pub struct Description {
     pub unit_pages: u32,
     /// What it was made from, and how that was read.
     pub source: Source,
+    /// How its leaves were made of pixels of another grid; `None` where they are the pixels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub resampling: Option<Resampling>,
+}
+
+/// How leaves were made of the pixels of another grid.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Resampling {
+    /// The kernel's name.
+    pub kernel: String,
+    /// Whether texels were kept within the range of the pixels around them.
+    pub range_limited: bool,
 }
 
 /// The rasters a dataset was made from, and the options they were read with.

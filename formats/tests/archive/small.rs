@@ -111,6 +111,7 @@ pub(crate) fn description(plan: Plan) -> Description {
         priority: 3,
         feather_texels: 32,
         unit_pages: 8,
+        resampling: None,
         source: Source {
             files: vec![SourceFile { name: "noise.tif".into(), bytes: 7, xxh3: "0".repeat(32) }],
             nodata: Some("NaN".to_owned()),

@@ -46,6 +46,7 @@ pub(crate) fn publish_over(
         priority: 0,
         feather_texels: 32,
         unit_pages: 8,
+        resampling: None,
         source: Source::default(),
     };
     let height = f32::from(height);

@@ -5,7 +5,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use areoid_formats::archive::{Archive, Description, Source, SourceFile};
+use areoid_formats::archive::{Archive, Description, Resampling, Source, SourceFile};
 use areoid_formats::body::Body;
 use areoid_formats::catalog::{Catalog, CatalogError};
 use areoid_formats::codec::Quantum;
@@ -17,9 +17,13 @@ use xxhash_rust::xxh3::Xxh3;
 use super::UNIT_PAGES;
 use super::request::{Event, IngestError, Reading, Request, Watch, tell};
 use crate::feather::FEATHER_TEXELS;
-use crate::mosaic::{Mosaic, MosaicError};
+use crate::mosaic::{Layout, Mosaic, MosaicError};
 use crate::origin::Origin;
 use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
+use crate::resample::kernel::RangeLimit;
+use crate::resample::target::{TargetMap, TargetRequest, target_grid};
+use crate::resample::transform::Precision;
+use crate::resample::{self, Resampler};
 
 /// Opens the rasters and decides what becomes of them.
 pub(super) fn plan(
@@ -49,7 +53,7 @@ pub(super) fn plan(
             stem.unwrap_or_default().to_owned()
         }
     };
-    let mosaic = Mosaic::new(rasters, crs, kind, request.page_side)?;
+    let origin = origin(request, rasters, crs, kind)?;
     let files = fingerprints(&request.rasters, watch)?;
     let reading = &request.reading;
     let source = Source {
@@ -64,14 +68,46 @@ pub(super) fn plan(
         dataset: name,
         kind,
         body,
-        grid: mosaic.grid().clone(),
+        grid: origin.grid().clone(),
         quantum: quantum(kind, &first, request.step_m)?,
         priority: request.priority,
         feather_texels: FEATHER_TEXELS,
         unit_pages: UNIT_PAGES,
         source,
+        resampling: is_resampled(request).then(|| Resampling {
+            kernel: request.kernel.name().to_owned(),
+            range_limited: request.limit == RangeLimit::Taps,
+        }),
     };
-    Ok((description, Box::new(mosaic)))
+    Ok((description, origin))
+}
+
+/// Whether the dataset's grid is another than that of the rasters.
+fn is_resampled(request: &Request) -> bool {
+    request.grid != TargetMap::Native || request.pixel_size.is_some()
+}
+
+/// Where the leaves come from: the rasters as they are, or resampled.
+fn origin(
+    request: &Request,
+    rasters: Vec<Arc<dyn Raster>>,
+    crs: Crs,
+    kind: Kind,
+) -> Result<Box<dyn Origin>, IngestError> {
+    if !is_resampled(request) {
+        return Ok(Box::new(Mosaic::new(rasters, crs, kind, request.page_side)?));
+    }
+    let layout = Layout::new(rasters, crs)?;
+    let placement = layout.placement()?;
+    let wanted = TargetRequest {
+        map: request.grid,
+        pixel_size: request.pixel_size,
+        page_side: request.page_side,
+    };
+    let grid = target_grid(&[placement], wanted)?;
+    let (kernel, limit, precision) = (request.kernel, request.limit, Precision::default());
+    let resampling = resample::Resampling { kernel, limit, precision };
+    Ok(Box::new(Resampler::new(grid, layout, placement, kind, resampling)?))
 }
 
 /// The rasters of a dataset, what they are projected by, and the body they show.

@@ -7,12 +7,16 @@ use areoid_formats::archive::{ArchiveError, Summary};
 use areoid_formats::catalog::{CatalogError, Existing};
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
+use areoid_formats::units::Meters;
 
 use crate::build::{Proceed, Progress};
 use crate::build_error::BuildError;
 use crate::estimate::Estimate;
 use crate::mosaic::MosaicError;
 use crate::raster::RasterError;
+use crate::resample::OtherBody;
+use crate::resample::kernel::{Kernel, RangeLimit};
+use crate::resample::target::{TargetError, TargetMap};
 
 /// What to ingest, and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,6 +31,14 @@ pub struct Request {
     pub kind: Option<Kind>,
     /// The step in meters that heights are stored on; 0 or `None` is lossless.
     pub step_m: Option<f64>,
+    /// The grid of the dataset.
+    pub grid: TargetMap,
+    /// Ground meters to a texel where the grid's map is truest; those of the rasters if `None`.
+    pub pixel_size: Option<Meters>,
+    /// How texels are made of pixels where the grid is not the rasters' own.
+    pub kernel: Kernel,
+    /// Whether those texels keep within the pixels around them.
+    pub limit: RangeLimit,
     /// Texels along a page's side, border included.
     pub page_side: u32,
     /// Higher covers lower.
@@ -161,6 +173,12 @@ pub enum IngestError {
     /// The rasters make no dataset.
     #[error(transparent)]
     Mosaic(Box<MosaicError>),
+    /// There is no such grid for the rasters.
+    #[error(transparent)]
+    Target(#[from] TargetError),
+    /// The rasters cannot be resampled to it.
+    #[error(transparent)]
+    Resample(#[from] OtherBody),
     /// The catalog refuses.
     #[error(transparent)]
     Catalog(Box<CatalogError>),

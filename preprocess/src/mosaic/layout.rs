@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use areoid_formats::grid::{GridError, Outline};
+use areoid_formats::grid::{GridError, Outline, Placement};
 use areoid_formats::projection::Crs;
 
 use crate::raster::Raster;
@@ -166,6 +166,18 @@ impl Layout {
     #[must_use]
     pub fn outline(&self) -> Outline {
         self.outline
+    }
+
+    /// What the outline means on its map.
+    ///
+    /// # Errors
+    ///
+    /// [`MosaicError::Grid`] if nothing.
+    pub fn placement(&self) -> Result<Placement, MosaicError> {
+        Placement::from_outline(self.crs, self.outline).map_err(|source| {
+            let path = self.parts[0].raster.info().path.clone();
+            MosaicError::Grid { path, source }
+        })
     }
 
     /// The rasters, each over those before it.

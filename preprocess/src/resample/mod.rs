@@ -182,3 +182,6 @@ impl Origin for Resampler {
         self.rasters.pixels_of(&rects.collect::<Vec<_>>())
     }
 }
+
+#[cfg(test)]
+mod tests;

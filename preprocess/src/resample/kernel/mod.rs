@@ -86,6 +86,21 @@ pub struct Scratch {
 }
 
 impl Kernel {
+    /// Its name in archives.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Nearest => "nearest",
+            Self::Bilinear => "bilinear",
+            Self::Cubic => "cubic",
+            Self::PlainLanczos => "plain lanczos",
+            Self::Lanczos => "lanczos",
+            Self::CubicSpline => "cubic spline",
+            Self::QuinticSpline => "quintic spline",
+            Self::Average => "average",
+        }
+    }
+
     /// What the kernel wants of its taps.
     #[must_use]
     pub fn filter(self) -> Filter {

@@ -1,0 +1,233 @@
+//! Leaves of another grid, against fields that are known everywhere.
+
+use areoid_formats::body::Body;
+use areoid_formats::geodesy::{Geographic, surface_normal};
+use areoid_formats::projection::{Crs, MapPoint, Pole, Projection};
+
+use super::target::{TargetMap, TargetRequest, target_grid};
+use super::*;
+use crate::build::Leaves as _;
+use crate::raster::{
+    Block, Outline as RasterOutline, Raster, RasterError, RasterInfo, SampleType, Samples,
+};
+use crate::texel::Planes;
+
+/// Floats in memory, in blocks of 100 × 70 pixels; NaN where there is none.
+#[derive(Debug)]
+struct Floats {
+    info: RasterInfo,
+    values: Vec<f32>,
+}
+
+impl Raster for Floats {
+    fn info(&self) -> &RasterInfo {
+        &self.info
+    }
+
+    fn read_block(&self, block_col: u32, block_row: u32) -> Result<Block, RasterError> {
+        let info = &self.info;
+        let (col, row) = (block_col * info.block_width, block_row * info.block_height);
+        let width = info.block_width.min(info.width - col);
+        let height = info.block_height.min(info.height - row);
+        let pixels =
+            (row..row + height).flat_map(|row| (col..col + width).map(move |col| (col, row)));
+        let value =
+            |(col, row): (u32, u32)| self.values[row as usize * info.width as usize + col as usize];
+        let samples = Samples::F32(pixels.map(value).collect());
+        Ok(Block { col, row, width, height, samples })
+    }
+
+    fn check_unchanged(&self) -> Result<(), RasterError> {
+        Ok(())
+    }
+}
+
+fn moon() -> Body {
+    Body::parse("moon").unwrap()
+}
+
+/// A raster of what `field` is at its pixels' centers.
+fn painted(
+    crs: Crs,
+    origin: [f64; 2],
+    pixel: f64,
+    (width, height): (u32, u32),
+    field: impl Fn(Geographic) -> f32,
+) -> Layout {
+    let outline = RasterOutline { origin, pixel_size: [pixel; 2] };
+    let center = |col: u32, row: u32| MapPoint {
+        x: origin[0] + (f64::from(col) + 0.5) * pixel,
+        y: origin[1] - (f64::from(row) + 0.5) * pixel,
+    };
+    let places = (0..height).flat_map(|row| (0..width).map(move |col| (col, row)));
+    let values = places.map(|(col, row)| crs.unproject(center(col, row)).map_or(f32::NAN, &field));
+    let raster = Floats {
+        values: values.collect(),
+        info: RasterInfo {
+            path: "floats.tif".into(),
+            width,
+            height,
+            bands: 1,
+            has_alpha: false,
+            sample: SampleType::F32,
+            crs: Some(crs),
+            outline,
+            point_registered: false,
+            nodata: None,
+            scale: 1.0,
+            offset: 0.0,
+            block_width: 100,
+            block_height: 70,
+        },
+    };
+    Layout::new(vec![Arc::new(raster)], crs).unwrap()
+}
+
+/// The whole moon, 512 by 256 pixels.
+fn globe(field: impl Fn(Geographic) -> f32) -> Layout {
+    let crs = Crs::new(Projection::Geographic, moon().ellipsoid);
+    painted(crs, [-180.0, 90.0], 360.0 / 512.0, (512, 256), field)
+}
+
+/// A plane wave of this many pixels of the globe, in a direction that no grid has.
+fn wave(pixels: f64) -> impl Fn(Geographic) -> f32 {
+    let k = 512.0 / pixels;
+    move |place| {
+        let [x, y, z] = surface_normal(place).to_array();
+        (100.0 * (k * (0.48 * x - 0.6 * y + 0.64 * z) + 1.0).sin()) as f32
+    }
+}
+
+fn resampled(layout: Layout, map: TargetMap, kernel: Kernel) -> Resampler {
+    let placement = layout.placement().unwrap();
+    let request = TargetRequest { map, pixel_size: None, page_side: 66 };
+    let grid = target_grid(&[placement], request).unwrap();
+    let resampling =
+        Resampling { kernel, limit: RangeLimit::None, precision: Precision::default() };
+    Resampler::new(grid, layout, placement, Kind::Height, resampling).unwrap()
+}
+
+/// Every valid texel and the place of its center.
+fn texels(resampler: &Resampler) -> Vec<(Geographic, f32)> {
+    let pyramid = resampler.grid().pyramid();
+    let side = pyramid.page_side() as usize;
+    let mut found = Vec::new();
+    for leaf in leaves(resampler.grid()) {
+        let (rows, cols) = pyramid.interior_size(leaf);
+        let Some(raw) = resampler.read(leaf).unwrap() else { continue };
+        let Planes::Height(heights) = raw.planes else { panic!("floats come as floats") };
+        for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
+            let height = heights[(row as usize + 1) * side + col as usize + 1];
+            if height.is_nan() {
+                continue;
+            }
+            let [row, col] = [(leaf.row, row), (leaf.col, col)]
+                .map(|(page, at)| f64::from(page * pyramid.interior() + at) + 0.5);
+            let origin = resampler.grid().origin();
+            let pixel = resampler.grid().pixel_size();
+            let point = MapPoint { x: origin[0] + col * pixel[0], y: origin[1] - row * pixel[1] };
+            found.push((resampler.grid().crs().unproject(point).unwrap(), height));
+        }
+    }
+    found
+}
+
+/// RMS and largest error, in percent of the wave's RMS, of texels where `zone` says so.
+fn errors(
+    texels: &[(Geographic, f32)],
+    field: impl Fn(Geographic) -> f32,
+    zone: impl Fn(Geographic) -> bool,
+) -> (f64, f64) {
+    let off = |&(place, height): &(Geographic, f32)| f64::from(height) - f64::from(field(place));
+    let errors: Vec<f64> = texels.iter().filter(|(place, _)| zone(*place)).map(off).collect();
+    assert!(errors.len() > 30, "a zone of {} texels", errors.len());
+    let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
+    let largest = errors.iter().fold(0.0, |most: f64, e| most.max(e.abs()));
+    let percent = 100.0 / (100.0 / 2.0_f64.sqrt());
+    (rms * percent, largest * percent)
+}
+
+fn degrees(place: Geographic) -> (f64, f64) {
+    (place.longitude.0.to_degrees(), place.latitude.0.to_degrees())
+}
+
+/// The pole and the antimeridian are as good as the rest, in every kernel.
+#[test]
+fn a_wave_is_the_same_on_another_grid() {
+    let limits = [
+        (Kernel::Bilinear, 16.0, 1.6),
+        (Kernel::Cubic, 16.0, 0.08),
+        (Kernel::Lanczos, 16.0, 0.08),
+        (Kernel::CubicSpline, 16.0, 0.005),
+        (Kernel::QuinticSpline, 16.0, 0.005),
+        (Kernel::QuinticSpline, 8.0, 0.05),
+    ];
+    for (kernel, pixels, limit) in limits {
+        for (map, pole) in [(Pole::North, 1.0), (Pole::South, -1.0)] {
+            let resampler = resampled(globe(wave(pixels)), TargetMap::Polar(map), kernel);
+            let texels = texels(&resampler);
+            let high = |place| pole * degrees(place).1;
+            let zones: [(&str, &dyn Fn(Geographic) -> bool); 3] = [
+                ("pole", &|place| high(place) > 87.0),
+                ("antimeridian", &|place| {
+                    degrees(place).0.abs() > 178.5 && (20.0..85.0).contains(&high(place))
+                }),
+                ("elsewhere", &|place| (20.0..85.0).contains(&high(place))),
+            ];
+            for (name, zone) in zones {
+                let (rms, _) = errors(&texels, wave(pixels), zone);
+                assert!(rms < limit, "{kernel:?} of {pixels} pixels at the {name}: {rms} %");
+            }
+            let (made, tiles) = resampler.prepared_tiles();
+            assert!(made <= tiles, "{made} prepared of {tiles}");
+            assert!(resampler.decoded_blocks() <= resampler.blocks());
+        }
+    }
+}
+
+#[test]
+fn a_constant_stays_one_to_the_bit() {
+    for kernel in [
+        Kernel::Nearest,
+        Kernel::Bilinear,
+        Kernel::Cubic,
+        Kernel::Lanczos,
+        Kernel::CubicSpline,
+        Kernel::QuinticSpline,
+        Kernel::Average,
+    ] {
+        let holes = |place: Geographic| {
+            let (longitude, latitude) = degrees(place);
+            if longitude.abs() < 20.0 && latitude > 50.0 { f32::NAN } else { 1234.567 }
+        };
+        let resampler = resampled(globe(holes), TargetMap::Polar(Pole::North), kernel);
+        let texels = texels(&resampler);
+        assert!(texels.len() > 10_000);
+        assert!(texels.iter().all(|(_, height)| height.to_bits() == 1234.567_f32.to_bits()));
+        // A pixel's width inside the hole nothing is valid; an average wants half of its footprint,
+        // which spans many columns beside the pole.
+        let inside = |place: Geographic| {
+            let (longitude, latitude) = degrees(place);
+            longitude.abs() < 19.0 && (51.0..80.0).contains(&latitude)
+        };
+        assert!(!texels.iter().any(|&(place, _)| inside(place)), "{kernel:?}");
+    }
+}
+
+/// There and back again: what is lost is twice what the kernel loses once.
+#[test]
+fn a_wave_comes_back_from_a_polar_grid() {
+    let there = resampled(globe(wave(16.0)), TargetMap::Polar(Pole::North), Kernel::QuinticSpline);
+    let grid = there.grid().clone();
+    let extent = grid.pyramid().extent();
+    let polar = painted(
+        *grid.crs(),
+        grid.origin(),
+        grid.pixel_size()[0],
+        (extent.width, extent.height),
+        wave(16.0),
+    );
+    let back = resampled(polar, TargetMap::Equirectangular, Kernel::QuinticSpline);
+    let (rms, _) = errors(&texels(&back), wave(16.0), |place| degrees(place).1 > 20.0);
+    assert!(rms < 0.01, "{rms} %");
+}
