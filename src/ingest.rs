@@ -117,7 +117,7 @@ pub(crate) struct Args {
     memory_mib: u64,
 
     /// How often to note where the work stands: about as much as --resume has to do again.
-    #[arg(long, value_name = "SECONDS", default_value_t = 15.0, value_parser = seconds)]
+    #[arg(long, allow_hyphen_values = true, value_name = "SECONDS", default_value_t = 15.0, value_parser = seconds)]
     note_every_s: f64,
 
     /// Go on with an unfinished build of the same input and options. Without it such a build is

@@ -187,3 +187,21 @@ fn a_missing_tap_between_two_levels_breaks_no_bound() {
     let raster = recipe.raster().unwrap();
     assert_lawful(&raster.archive(recipe.page_side), &raster);
 }
+
+/// Law 1 was broken here, too, of floats alone: a missing texel that weighed nothing made the row of
+/// points below it not a number, and the cells on its other side, which no hole is near, lost them.
+#[test]
+fn a_missing_tap_that_weighs_nothing_hides_no_point() {
+    let height = |row: usize, col: usize| match (row, col) {
+        (16..20, 16..28) => f32::NAN,
+        (20..22, 20..22) => -600.0,
+        (20..22, 22..24) => 600.0,
+        (22, 20) => -900.0,
+        (22, 21) | (23, 20..22) => 300.0,
+        _ => 0.0,
+    };
+    for step in [None, Some((1.0, 0.0)), Some((0.5, 0.0))] {
+        let raster = Raster::new(Place::Region, (128, 128), step, height);
+        assert_lawful(&raster.archive(34), &raster);
+    }
+}

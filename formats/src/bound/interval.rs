@@ -24,7 +24,8 @@ pub struct Cells<C> {
 
 /// What a channel is made of: `f32` meters, `i16` whole meters, or `u8` codes.
 pub trait Texel: Copy + PartialOrd + Into<f64> + Send + Sync + 'static {
-    /// The end of an interval: meters in f32, or a number of sixteenths in i16.
+    /// The end of an interval: meters in f32, or in i16 a number of sixteenths, or of
+    /// [`Cells::unit_log2`] powers of two of them.
     type Cell: Copy + PartialOrd + std::fmt::Debug + Send + Sync + 'static;
     /// The ends of the interval that contains nothing.
     const EMPTY: (Self::Cell, Self::Cell);
@@ -110,7 +111,10 @@ pub(super) trait Number<S: Texel>:
     /// A texel less `base`.
     fn from_texel(texel: S, base: S) -> Self;
 
-    /// The lower end of an interval: this many sixteenths more than `known`.
+    /// The lower end of an interval: this many sixteenths more than `known`, in units.
+    ///
+    /// What is known of a cell is an interval that is not empty, unless a tap around it is missing;
+    /// then what comes out is replaced.
     fn low(self, known: S::Cell, terms: Terms<S>) -> S::Cell;
 
     /// The upper end, likewise.

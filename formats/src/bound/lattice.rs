@@ -101,6 +101,12 @@ impl<'a, S: Texel, T: Number<S>> Lattice<'a, S, T> {
         let base = self.terms.base;
 
         let (top, bottom, weight) = parent_taps(self.child.row * interior + row, half);
+        // A row that weighs nothing may have holes: NaN times zero is NaN.
+        let (top, bottom) = match weight {
+            0 => (top, top),
+            4 => (bottom, bottom),
+            _ => (top, bottom),
+        };
         let first = self.child.col * interior / 2;
         let upper = &self.parent.texels[top * side..][first..side];
         let lower = &self.parent.texels[bottom * side..][first..side];

@@ -246,3 +246,60 @@ fn ends_round_outward() {
     let (low, high) = f32::outward(-0.1, 0.1, 0);
     assert!(f64::from(low) < -0.1 && f64::from(high) > 0.1);
 }
+
+/// The intervals of a family some of whose texels are not there; something is known of the first
+/// child.
+fn cells_with_holes<S: Texel>(
+    family: &Texels<S>,
+    coverage: &[Vec<u8>],
+    finest: bool,
+    known: &Cells<S::Cell>,
+    range: (S, S),
+) -> Vec<(f64, f64)> {
+    let children = (0..4).map(|which| {
+        let child = family.child(which / 2, which % 2);
+        let window = Window { coverage: Some(&coverage[which]), ..child.window };
+        Child { finest, cells: (which == 0).then_some(known), window, ..child }
+    });
+    let parent = Window { coverage: Some(&coverage[4]), ..family.parent() };
+    let family_in_holes = Family { parent, children: children.collect() };
+    ends::<S>(&parent_cells(&[family_in_holes], family.size(), range)).concat()
+}
+
+proptest! {
+    /// Two arithmetics, NaN in the holes of one and anything in those of the other.
+    #[test]
+    fn floats_and_whole_heights_agree_beside_holes(
+        family in family(any::<i16>()),
+        holes in prop::collection::vec((0..5_usize, 0..SIDE * SIDE), 0..60),
+        finest: bool,
+        known in prop::collection::vec((-500_i16..500, 0_i16..500), INTERIOR * INTERIOR),
+    ) {
+        let mut coverage = vec![vec![255_u8; SIDE * SIDE]; 5];
+        holes.into_iter().for_each(|(which, at)| coverage[which][at] = 0);
+        let floats_of = |plane: &[i16], which: usize| -> Vec<f32> {
+            let texels = plane.iter().zip(&coverage[which]);
+            texels.map(|(&t, &code)| if code == 0 { f32::NAN } else { t.into() }).collect()
+        };
+        let floats = Texels {
+            parent: floats_of(&family.parent, 4),
+            children: (0..4).map(|which| floats_of(&family.children[which], which)).collect(),
+            cut: family.cut,
+        };
+        let mut known_whole = Cells::empty::<i16>(INTERIOR, INTERIOR, 0);
+        let mut known_float = Cells::empty::<f32>(INTERIOR, INTERIOR, 0);
+        for (at, (low, length)) in known.into_iter().enumerate() {
+            (known_whole.low[at], known_whole.high[at]) = (16 * low, 16 * (low + length));
+            (known_float.low[at], known_float.high[at]) = (low.into(), (low + length).into());
+        }
+        let range = family.range();
+        let whole = cells_with_holes(&family, &coverage, finest, &known_whole, range);
+        let range = (range.0.into(), range.1.into());
+        let float = cells_with_holes(&floats, &coverage, finest, &known_float, range);
+        // A unit of the widest range, and what floats round.
+        let same = |a: f64, b: f64| a == b || (a - b).abs() <= 4.0 + 0.01;
+        for (whole, float) in whole.into_iter().zip(float) {
+            prop_assert!(same(whole.0, float.0) && same(whole.1, float.1), "{whole:?} {float:?}");
+        }
+    }
+}

@@ -143,7 +143,7 @@ impl Witness {
             return Err(self.modified(format!("it had {} bytes and has {}", then.len, now.len)));
         }
         if then != now {
-            return Err(self.modified("it was written to".to_owned()));
+            return Err(self.modified("it was written to or removed".to_owned()));
         }
         Ok(())
     }
@@ -219,7 +219,7 @@ mod tests {
         std::fs::write(&path, b"other twelve").unwrap();
         let later = SystemTime::now() + Duration::from_nanos(1500);
         File::options().write(true).open(&path).unwrap().set_modified(later).unwrap();
-        assert!(change(&file).ends_with("it was written to"), "{}", change(&file));
+        assert!(change(&file).ends_with("it was written to or removed"), "{}", change(&file));
 
         let (folder, path, file) = opened(b"twelve bytes");
         let other = folder.path().join("b.tif");
@@ -245,6 +245,6 @@ mod tests {
             std::fs::write(&path, b"other twelve").unwrap();
         }
         File::options().write(true).open(&path).unwrap().set_modified(then).unwrap();
-        assert!(change(&file).ends_with("it was written to"));
+        assert!(change(&file).ends_with("it was written to or removed"));
     }
 }

@@ -51,7 +51,7 @@ impl Window {
 ///
 /// # Units
 ///
-/// Metres, as far as the file says: `sample * scale + offset`.
+/// Meters, as far as the file says: `sample * scale + offset`.
 ///
 /// # Shapes
 ///
