@@ -80,6 +80,29 @@ pub fn none<T: Copy>(values: &[T], test: impl Fn(T) -> bool) -> bool {
     found == [0; LANES] && !rest.iter().any(|&value| test(value))
 }
 
+/// Which of eight bytes are not 0, a bit each, the first in the lowest.
+#[must_use]
+#[inline(always)]
+pub const fn present(bytes: [u8; 8]) -> u8 {
+    // The multiplication moves bit 7 of byte j to bit 56 + j; no two meet on the way.
+    (tops(u64::from_le_bytes(bytes)) >> 7).wrapping_mul(0x0102_0408_1020_4080).to_le_bytes()[7]
+}
+
+/// Eight bytes, 255 for each bit and 0 elsewhere: the other way round.
+#[must_use]
+#[inline(always)]
+pub const fn spread(bits: u8) -> [u8; 8] {
+    let copies = u64::from_le_bytes([bits; 8]);
+    ((tops(copies & 0x8040_2010_0804_0201) >> 7) * 255).to_le_bytes()
+}
+
+/// The highest bit of each byte that is not 0.
+#[inline(always)]
+const fn tops(word: u64) -> u64 {
+    const LOW: u64 = 0x7f7f_7f7f_7f7f_7f7f;
+    (((word & LOW) + LOW) | word) & !LOW
+}
+
 /// The first if it is less than the second: one instruction, where `f32::min` with its care for
 /// NaN is several.
 #[inline(always)]
@@ -97,6 +120,18 @@ pub fn greatest<T: PartialOrd>(a: T, b: T) -> T {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn bits_are_spread_and_found_again() {
+        for bits in 0..=u8::MAX {
+            let bytes = spread(bits);
+            for (place, &byte) in bytes.iter().enumerate() {
+                assert_eq!(byte, if bits >> place & 1 == 1 { 255 } else { 0 });
+            }
+            assert_eq!(present(bytes), bits);
+            assert_eq!(present(bytes.map(|byte| byte & 16)), bits);
+        }
+    }
 
     proptest! {
         #[test]
