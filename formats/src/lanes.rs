@@ -54,6 +54,43 @@ pub fn extremes<T: Copy + PartialOrd>(values: &[T], none: (T, T)) -> (T, T) {
     vectorized(Extremes(values, none))
 }
 
+/// [`extremes`] of the values whose coverage is not 0.
+#[must_use]
+pub fn covered_extremes<T: Copy + PartialOrd>(
+    values: &[T],
+    coverage: &[u8],
+    none: (T, T),
+) -> (T, T) {
+    struct Covered<'a, T>(&'a [T], &'a [u8], (T, T));
+    impl<T: Copy + PartialOrd> Wide for Covered<'_, T> {
+        type Output = (T, T);
+
+        #[inline(always)]
+        fn run(self) -> (T, T) {
+            let Self(values, coverage, none) = self;
+            let (mut low, mut high) = none;
+            for (values, coverage) in values.chunks(HELD).zip(coverage.chunks(HELD)) {
+                low = reduce(&held(values, coverage, none.0)[..values.len()], low, least);
+                high = reduce(&held(values, coverage, none.1)[..values.len()], high, greatest);
+            }
+            (low, high)
+        }
+    }
+    vectorized(Covered(values, coverage, none))
+}
+
+const HELD: usize = 256;
+
+/// Values with coverage, and `none` for the others: a loop of its own, which becomes vectors.
+#[inline(always)]
+fn held<T: Copy>(values: &[T], coverage: &[u8], none: T) -> [T; HELD] {
+    let mut held = [none; HELD];
+    for ((held, &value), &covered) in held.iter_mut().zip(values).zip(coverage) {
+        *held = if covered == 0 { none } else { value };
+    }
+    held
+}
+
 #[inline(always)]
 fn reduce<T: Copy>(values: &[T], none: T, pick: impl Fn(T, T) -> T) -> T {
     let mut picked = [none; LANES];
@@ -145,6 +182,11 @@ mod tests {
             };
             prop_assert_eq!(extremes(&values, (i16::MAX, i16::MIN)), expected);
             prop_assert_eq!(none(&values, |v| v == wanted % 10), !values.contains(&(wanted % 10)));
+
+            let coverage: Vec<u8> = values.iter().map(|&v| u8::from(v != wanted % 10)).collect();
+            let covered: Vec<i16> = values.iter().copied().filter(|&v| v != wanted % 10).collect();
+            let none = (i16::MAX, i16::MIN);
+            prop_assert_eq!(covered_extremes(&values, &coverage, none), extremes(&covered, none));
 
             let mut floats: Vec<f32> = values.iter().map(|&v| f32::from(v)).collect();
             if nan < floats.len() {
