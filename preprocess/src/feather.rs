@@ -7,6 +7,7 @@
 use std::sync::LazyLock;
 
 use areoid_formats::address::PageAddress;
+use areoid_formats::lanes::{self, greatest, least};
 use areoid_formats::pyramid::{PoleContact, Pyramid};
 
 /// Leaf texels over which coverage rises to full.
@@ -17,6 +18,12 @@ pub const HALO: u32 = FEATHER_TEXELS + 1;
 
 const REACH: usize = HALO as usize;
 
+/// From here on coverage is full: farther is the same.
+#[expect(clippy::cast_possible_truncation, reason = "33")]
+const FAR: u8 = HALO as u8;
+
+const FAR_SQUARED: u16 = FAR as u16 * FAR as u16;
+
 /// Which texels of a leaf's interior are valid.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Validity {
@@ -24,44 +31,62 @@ pub enum Validity {
     Empty,
     /// All of them.
     Full,
-    /// Those with a one, a bit each, rows of `cols` texels one after another.
+    /// Those with a one, a bit each.
     Mixed {
         /// Texels in a row.
         cols: usize,
-        /// 64 texels a word, the first in the lowest bit.
-        bits: Vec<u64>,
+        /// 8 texels a byte, the first in the lowest bit. A row begins with a byte of its own, and
+        /// takes one for each 8 texels and another for the rest; a last byte follows the last row.
+        bits: Vec<u8>,
     },
 }
 
 impl Validity {
     /// Of a leaf with this alpha: `cols` texels of each row, 0 where invalid.
     pub fn of<'a>(cols: usize, rows: impl Iterator<Item = &'a [u8]>) -> Self {
-        let (mut bits, mut count, mut valid) = (Vec::new(), 0, 0);
-        for &alpha in rows.flatten() {
-            if count % 64 == 0 {
-                bits.push(0_u64);
-            }
-            if let Some(word) = bits.last_mut().filter(|_| alpha != 0) {
-                *word |= 1 << (count % 64);
-                valid += 1;
-            }
-            count += 1;
+        let mut bits = Vec::new();
+        let mut count = 0;
+        for row in rows {
+            let (eights, rest) = row.as_chunks();
+            bits.extend(eights.iter().map(|&alpha| lanes::present(alpha)));
+            let mut last = [0; 8];
+            last[..rest.len()].copy_from_slice(rest);
+            bits.push(lanes::present(last));
+            count += row.len();
         }
-        match valid {
+        bits.push(0);
+        let valid: u32 = bits.iter().map(|bits| bits.count_ones()).sum();
+        match valid as usize {
             0 => Self::Empty,
-            _ if valid == count => Self::Full,
+            valid if valid == count => Self::Full,
             _ => Self::Mixed { cols, bits },
         }
     }
 
-    /// Copies the validity of consecutive texels of a row, from (`row`, `col`) on.
-    fn copy(&self, row: usize, col: usize, out: &mut [bool]) {
+    /// Bytes of the bits of a leaf.
+    pub(crate) const fn length(rows: usize, cols: usize) -> usize {
+        rows * (cols / 8 + 1) + 1
+    }
+
+    /// Copies the validity of consecutive texels of a row, from (`row`, `col`) on: 255 or 0.
+    fn copy(&self, row: usize, col: usize, out: &mut [u8]) {
         match self {
-            Self::Empty => out.fill(false),
-            Self::Full => out.fill(true),
+            Self::Empty => out.fill(0),
+            Self::Full => out.fill(u8::MAX),
             Self::Mixed { cols, bits } => {
-                for (at, valid) in (row * cols + col..).zip(out) {
-                    *valid = bits[at / 64] >> (at % 64) & 1 == 1;
+                // What follows the row is read as well, and not looked at.
+                let row = &bits[row * (cols / 8 + 1) + col / 8..];
+                let (eights, rest) = out.as_chunks_mut();
+                let pairs = || row.iter().zip(&row[1..]);
+                let eight = |(&low, &high): (&u8, &u8)| {
+                    let [bits, _] = (u16::from_le_bytes([low, high]) >> (col % 8)).to_le_bytes();
+                    lanes::spread(bits)
+                };
+                for (out, pair) in eights.iter_mut().zip(pairs()) {
+                    *out = eight(pair);
+                }
+                if let Some(pair) = pairs().nth(eights.len()) {
+                    rest.copy_from_slice(&eight(pair)[..rest.len()]);
                 }
             }
         }
@@ -88,51 +113,97 @@ pub fn coverage<'a>(
     }
     let side = pyramid.page_side() as usize;
     let around = Around::new(pyramid, page, validity);
-    let down = around.distances_along_columns();
-    let (rows, cols) = (around.rows - 2 * REACH, around.cols - 2 * REACH);
     let mut coverage = vec![0; side * side];
-    let mut full = true;
-    let mut nearest = vec![0; cols];
-    for row in 0..rows {
-        let down = &down[(row + REACH) * around.cols..][..around.cols];
-        nearest.fill(u16::MAX);
-        for (across, far) in (0..=2 * REACH).map(|across| (across, across.abs_diff(REACH))) {
-            #[expect(clippy::cast_possible_truncation, reason = "at most the reach")]
-            let far = (far * far) as u16;
-            for (nearest, &down) in nearest.iter_mut().zip(&down[across..]) {
-                *nearest = (*nearest).min(down * down + far);
-            }
-        }
+    let cols = around.cols - 2 * REACH;
+    for row in 0..around.rows - 2 * REACH {
         let to = (row + 1) * side + 1;
+        let down = &around.distances[(row + REACH) * around.stride..][..around.stride];
         let alpha = alpha.map(|alpha| &alpha[to..][..cols]);
-        for (col, (code, &nearest)) in coverage[to..][..cols].iter_mut().zip(&nearest).enumerate() {
-            *code = code_at(nearest, alpha.map_or(u8::MAX, |alpha| alpha[col]));
-            full &= *code == u8::MAX;
-        }
+        let out = &mut coverage[to..][..cols];
+        lanes::vectorized(FeatheredRow { down, alpha, out });
     }
+    let is_full =
+        |row: usize| lanes::none(&coverage[(row + 1) * side + 1..][..cols], |code| code != u8::MAX);
+    let full = (0..around.rows - 2 * REACH).all(is_full);
     (!full).then_some(coverage)
 }
 
-/// The coverage at a squared distance, in texels, of a texel of this alpha.
-fn code_at(nearest: u16, alpha: u8) -> u8 {
-    /// Of opaque texels, and their shares. From 32½ texels on they are full.
-    static CODES: LazyLock<Vec<(u8, f64)>> = LazyLock::new(|| {
-        let share = |nearest: u32| {
-            let distance = f64::from(nearest).sqrt() - 0.5;
-            (distance / f64::from(FEATHER_TEXELS)).min(1.0)
-        };
-        (0..=HALO * HALO).map(share).map(|share| (code_of(share, u8::MAX), share)).collect()
-    });
-    let (code, share) = CODES.get(usize::from(nearest)).copied().unwrap_or((u8::MAX, 1.0));
-    match alpha {
-        0 => 0,
-        u8::MAX => code,
-        alpha => code_of(share, alpha),
+/// The coverage of a row, all zero before.
+struct FeatheredRow<'a> {
+    /// Distances along the columns, those of [`REACH`] columns more on both sides.
+    down: &'a [u8],
+    alpha: Option<&'a [u8]>,
+    out: &'a mut [u8],
+}
+
+/// Texels of a row that go together.
+const BLOCK: usize = 64;
+
+impl lanes::Wide for FeatheredRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { down, alpha, out } = self;
+        let codes = &*CODES;
+        for (block, out) in out.chunks_mut(BLOCK).enumerate() {
+            let from = block * BLOCK;
+            let down: &[u8; BLOCK + 2 * REACH] = down[from..].first_chunk().expect("whole blocks");
+            let farthest =
+                down[REACH..REACH + BLOCK].iter().fold(0, |far, &down| greatest(down, far));
+            if farthest == 0 {
+                continue;
+            }
+            let nearest = if down.iter().fold(FAR, |near, &down| least(down, near)) == FAR {
+                [FAR_SQUARED; BLOCK]
+            } else {
+                nearest(down, farthest.into())
+            };
+            for (code, &nearest) in out.iter_mut().zip(&nearest) {
+                *code = codes[usize::from(nearest)];
+            }
+            let Some(alpha) = alpha.map(|alpha| &alpha[from..][..out.len()]) else { continue };
+            let hazy = alpha.iter().fold(false, |hazy, &alpha| hazy | (alpha.wrapping_add(1) > 1));
+            for ((code, &nearest), &alpha) in
+                out.iter_mut().zip(&nearest).zip(alpha).filter(|_| hazy)
+            {
+                *code = if alpha == 0 { 0 } else { code_at(nearest, alpha) };
+            }
+        }
     }
 }
 
+/// Squared distances to the nearest invalid places, if no texel of the block has one farther than
+/// `farthest` in its column: no other column as far away as that has one nearer.
+#[inline(always)]
+fn nearest(down: &[u8; BLOCK + 2 * REACH], farthest: usize) -> [u16; BLOCK] {
+    let squares = down.map(|down| u16::from(down) * u16::from(down));
+    let mut nearest = [FAR_SQUARED; BLOCK];
+    for across in 0..=farthest {
+        #[expect(clippy::cast_possible_truncation, reason = "at most the reach")]
+        let far = (across * across) as u16;
+        let (left, right) =
+            (&squares[REACH - across..][..BLOCK], &squares[REACH + across..][..BLOCK]);
+        for ((nearest, &left), &right) in nearest.iter_mut().zip(left).zip(right) {
+            *nearest = least(least(left, right) + far, *nearest);
+        }
+    }
+    nearest
+}
+
+/// A texel's coverage where it is opaque, by its squared distance; that of an invalid one is 0.
+static CODES: LazyLock<[u8; FAR_SQUARED as usize + 1]> = LazyLock::new(|| {
+    std::array::from_fn(|nearest| match u16::try_from(nearest) {
+        Ok(nearest) if nearest > 0 => code_at(nearest, u8::MAX),
+        _ => 0,
+    })
+});
+
+/// The coverage of a valid texel of this alpha at a squared distance.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "1 to 255")]
-fn code_of(share: f64, alpha: u8) -> u8 {
+fn code_at(nearest: u16, alpha: u8) -> u8 {
+    let distance = f64::from(nearest).sqrt() - 0.5;
+    let share = (distance / f64::from(FEATHER_TEXELS)).min(1.0);
     (share * f64::from(alpha)).round().max(1.0) as u8
 }
 
@@ -150,11 +221,14 @@ fn sees_outside(pyramid: &Pyramid, page: PageAddress) -> bool {
         || near(page.col * interior, cols, extent.width, !extent.wraps, !extent.wraps)
 }
 
-/// Which texels in and around a leaf's interior are valid.
+/// How far places in and around a leaf's interior are from the nearest invalid one of their column.
 struct Around {
     rows: usize,
     cols: usize,
-    valid: Vec<bool>,
+    /// Columns in a row, and more that count as valid, so that there are whole blocks.
+    stride: usize,
+    /// Rows, at most [`FAR`].
+    distances: Vec<u8>,
 }
 
 impl Around {
@@ -167,6 +241,7 @@ impl Around {
         let extent = pyramid.extent();
         let (page_rows, page_cols) = pyramid.interior_size(page);
         let (rows, cols) = (page_rows as usize + 2 * REACH, page_cols as usize + 2 * REACH);
+        let stride = (page_cols as usize).next_multiple_of(BLOCK) + 2 * REACH;
         let reach = i64::from(HALO);
         let (top, left) =
             (i64::from(page.row * interior) - reach, i64::from(page.col * interior) - reach);
@@ -193,45 +268,36 @@ impl Around {
             runs
         };
         let (straight, turned) = (runs(false), runs(true));
-        let mut valid = vec![false; rows * cols];
-        for (row, valid) in valid.chunks_exact_mut(cols).enumerate() {
+        let mut distances = vec![0; rows * stride];
+        let (mut valid, mut above) = (vec![0; stride], vec![FAR; stride]);
+        valid[cols..].fill(u8::MAX);
+        for (row, distances) in distances.chunks_exact_mut(stride).enumerate() {
             let absolute = top + row as i64;
             let outside = absolute < 0 && extent.north == PoleContact::None
                 || absolute >= i64::from(extent.height) && extent.south == PoleContact::None;
-            if outside {
-                continue;
-            }
-            // At the finest level rows mirror onto rows.
-            let source = pyramid.extended_row(page.level, absolute);
-            for &(to, col, from, length) in if source.turned { &turned } else { &straight } {
-                let leaf = PageAddress::new(page.level, source.row / interior, col);
-                let row = (source.row % interior) as usize;
-                validity(leaf).copy(row, from, &mut valid[to..to + length]);
-            }
-        }
-        Self { rows, cols, valid }
-    }
-
-    /// For each place the rows to the nearest invalid place of its column, at most twice the
-    /// reach.
-    fn distances_along_columns(&self) -> Vec<u16> {
-        #[expect(clippy::cast_possible_truncation, reason = "66")]
-        const FAR: u16 = 2 * REACH as u16;
-        let mut distances = vec![FAR; self.valid.len()];
-        let mut pass = |rows: &mut dyn Iterator<Item = usize>| {
-            let mut above = vec![FAR; self.cols];
-            for row in rows {
-                let at = row * self.cols..(row + 1) * self.cols;
-                let places = distances[at.clone()].iter_mut().zip(&self.valid[at]);
-                for ((distance, valid), above) in places.zip(&mut above) {
-                    *above = if *valid { (*above + 1).min(FAR) } else { 0 };
-                    *distance = (*distance).min(*above);
+            valid[..cols].fill(0);
+            if !outside {
+                // At the finest level rows mirror onto rows.
+                let source = pyramid.extended_row(page.level, absolute);
+                for &(to, col, from, length) in if source.turned { &turned } else { &straight } {
+                    let leaf = PageAddress::new(page.level, source.row / interior, col);
+                    let row = (source.row % interior) as usize;
+                    validity(leaf).copy(row, from, &mut valid[to..to + length]);
                 }
             }
-        };
-        pass(&mut (0..self.rows));
-        pass(&mut (0..self.rows).rev());
-        distances
+            for ((distance, above), valid) in distances.iter_mut().zip(&mut above).zip(&valid) {
+                *above = least(*above + 1, FAR) & valid;
+                *distance = *above;
+            }
+        }
+        let mut below = vec![FAR; stride];
+        for distances in distances.chunks_exact_mut(stride).rev() {
+            for (distance, below) in distances.iter_mut().zip(&mut below) {
+                *below = least(*below + 1, *distance);
+                *distance = *below;
+            }
+        }
+        Self { rows, cols, stride, distances }
     }
 }
 
@@ -241,13 +307,15 @@ mod tests {
 
     #[test]
     fn validity_comes_back_bit_by_bit() {
-        let alpha: Vec<u8> = (0..90).map(|at| u8::from(at % 7 != 3)).collect();
+        let alpha: Vec<u8> = (0..90).map(|at| if at % 7 == 3 { 0 } else { at }).collect();
         let validity = Validity::of(30, alpha.chunks(30));
-        let mut out = vec![false; 30];
-        for row in 0..3 {
-            validity.copy(row, 0, &mut out);
-            let expected: Vec<bool> = alpha[row * 30..][..30].iter().map(|&a| a != 0).collect();
-            assert_eq!(out, expected);
+        for (row, alpha) in alpha.chunks(30).enumerate() {
+            for from in 0..30 {
+                let mut out = vec![1; 30 - from];
+                validity.copy(row, from, &mut out);
+                let expected = alpha[from..].iter().map(|&alpha| 255 * u8::from(alpha != 0));
+                assert_eq!(out, expected.collect::<Vec<_>>());
+            }
         }
         assert_eq!(Validity::of(2, [&[0_u8, 0][..]].into_iter()), Validity::Empty);
         assert_eq!(Validity::of(2, [&[9_u8, 1][..]].into_iter()), Validity::Full);

@@ -7,7 +7,7 @@
 
 use areoid_formats::bound::Span;
 use areoid_formats::codec::Quantum;
-use areoid_formats::lanes;
+use areoid_formats::lanes::{self, greatest, least};
 
 use crate::texel::Texel;
 use crate::tile::{Tile, nothing};
@@ -75,42 +75,79 @@ fn halve_row<S: Texel>(
     row: usize,
     quantum: Quantum,
 ) {
-    let upper = child.row(row);
-    let whole = row + 1 < child.rows;
-    let lower = child.row(if whole { row + 1 } else { row });
-    let covered = |range: &std::ops::Range<usize>| {
-        child.coverage.as_ref().is_none_or(|codes| !codes[range.clone()].contains(&0))
-    };
-    // Pairs of columns that have all four texels go together; what is left one by one.
-    let simple = if whole && covered(&upper) && covered(&lower) { child.cols / 2 } else { 0 };
-    for channel in 0..S::CHANNELS {
-        let plane = &child.planes[channel];
-        let rows = [&plane[upper.clone()], &plane[lower.clone()]];
-        let out = &mut parent.planes[channel][to..to + simple];
-        lanes::vectorized(Halving { rows, quantum, out });
-        if let Some(spans) = &mut parent.spans {
-            let (low, high) = span_of(child, channel);
-            let part = to..to + simple;
-            let rows = [&low[upper.clone()], &low[lower.clone()]];
-            fold_pairs(rows, &mut spans[channel].least[part.clone()], lanes::least);
-            let rows = [&high[upper.clone()], &high[lower.clone()]];
-            fold_pairs(rows, &mut spans[channel].greatest[part], lanes::greatest);
+    // Runs of columns that have all four texels go together; what is left one by one.
+    let pairs = if row + 1 < child.rows { child.cols / 2 } else { 0 };
+    let from = child.at(row, 0);
+    match &child.coverage {
+        None => {
+            halve_run(parent, to, child, (from, pairs), quantum);
+            if let Some(codes) = &mut parent.coverage {
+                codes[to..to + pairs].fill(u8::MAX);
+            }
         }
-    }
-    match (&mut parent.coverage, &child.coverage) {
-        (None, _) => {}
-        (Some(codes), None) => codes[to..to + simple].fill(u8::MAX),
-        (Some(codes), Some(coverage)) => {
-            let pairs = coverage[upper.clone()].as_chunks::<2>().0.iter();
-            let pairs = pairs.zip(coverage[lower.clone()].as_chunks::<2>().0);
-            for (code, (&[a, b], &[c, d])) in codes[to..to + simple].iter_mut().zip(pairs) {
-                *code = mean_coverage(&[a, b, c, d]);
+        Some(codes) => {
+            let [upper, lower] = [from, from + child.side];
+            let rows = || {
+                let [upper, lower] = [upper, lower].map(|row| codes[row..].as_chunks::<2>().0);
+                upper.iter().zip(lower).take(pairs)
+            };
+            if let Some(means) = &mut parent.coverage {
+                for (mean, (&[a, b], &[c, d])) in means[to..].iter_mut().zip(rows()) {
+                    *mean = mean_of_four([a, b, c, d]);
+                }
+            }
+            let missing: Vec<u8> = rows()
+                .map(|(&[a, b], &[c, d])| [a, b, c, d].map(|code| u8::from(code == 0)))
+                .map(|[a, b, c, d]| a + b + c + d)
+                .collect();
+            let mut next = 0;
+            for run in missing.chunk_by(|one, other| one == other) {
+                let columns = next..next + run.len();
+                next = columns.end;
+                match run[0] {
+                    0 => {
+                        let from = from + 2 * columns.start;
+                        halve_run(parent, to + columns.start, child, (from, run.len()), quantum);
+                    }
+                    4 => {}
+                    _ => columns.for_each(|col| {
+                        one_texel(parent, to + col, child, (row, 2 * col), quantum);
+                    }),
+                }
             }
         }
     }
-    for col in (2 * simple..child.cols).step_by(2) {
+    for col in (2 * pairs..child.cols).step_by(2) {
         one_texel(parent, to + col / 2, child, (row, col), quantum);
     }
+}
+
+/// Two by two valid texels of a child, so many pairs of columns from `from` on, into texels of its
+/// parent from `to` on.
+fn halve_run<S: Texel>(
+    parent: &mut Tile<S>,
+    to: usize,
+    child: &Tile<S>,
+    (from, pairs): (usize, usize),
+    quantum: Quantum,
+) {
+    let part = (from, child.side, 2 * pairs);
+    for channel in 0..S::CHANNELS {
+        let rows = two_rows(&child.planes[channel], part);
+        let out = &mut parent.planes[channel][to..][..pairs];
+        lanes::vectorized(Halving { rows, quantum, out });
+        if let Some(spans) = &mut parent.spans {
+            let (low, high) = span_of(child, channel);
+            let span = &mut spans[channel];
+            fold_pairs(two_rows(low, part), &mut span.least[to..][..pairs], least);
+            fold_pairs(two_rows(high, part), &mut span.greatest[to..][..pairs], greatest);
+        }
+    }
+}
+
+/// A part of two rows of a plane of `side` columns: so many columns from `from` on.
+fn two_rows<S>(plane: &[S], (from, side, cols): (usize, usize, usize)) -> [&[S]; 2] {
+    [&plane[from..][..cols], &plane[from + side..][..cols]]
 }
 
 /// The least and greatest finest texels of a page; a leaf's are its own before rounding.
@@ -192,6 +229,17 @@ fn one_texel<S: Texel>(
     }
 }
 
+/// [`mean_coverage`] of four codes, so that a row of them becomes vectors.
+#[inline(always)]
+fn mean_of_four(codes: [u8; 4]) -> u8 {
+    let [a, b, c, d] = codes.map(u16::from);
+    let sum = a + b + c + d;
+    let most = 254 + u16::from(sum == 4 * 255);
+    #[expect(clippy::cast_possible_truncation, reason = "a mean of codes")]
+    let code = least((sum + 2) >> 2, most) as u8;
+    code + u8::from((sum > 0) & (code == 0))
+}
+
 /// The mean of one to four codes, rounded to nearest, but full only where all are, and invalid only
 /// where all are.
 #[inline]
@@ -217,5 +265,15 @@ mod tests {
         assert_eq!(mean_coverage(&[255, 255, 255, 254]), 254);
         assert_eq!(mean_coverage(&[255; 3]), 255);
         assert_eq!(mean_coverage(&[1, 2]), 2);
+    }
+
+    #[test]
+    fn four_codes_have_one_mean() {
+        let codes = || [0, 1, 2, 3, 127, 128, 252, 253, 254, 255].into_iter();
+        for (a, b) in codes().flat_map(|a| codes().map(move |b| (a, b))) {
+            for (c, d) in codes().flat_map(|c| codes().map(move |d| (c, d))) {
+                assert_eq!(mean_of_four([a, b, c, d]), mean_coverage(&[a, b, c, d]));
+            }
+        }
     }
 }

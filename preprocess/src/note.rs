@@ -43,13 +43,13 @@ impl NotedValidity {
     /// What `validity` is noted as; `bits` stores its bits.
     pub(crate) fn of<E>(
         validity: &Validity,
-        bits: impl FnOnce(&[u64]) -> Result<Slot, E>,
+        bits: impl FnOnce(&[u8]) -> Result<Slot, E>,
     ) -> Result<Self, E> {
         Ok(match validity {
             Validity::Empty => Self::Empty,
             Validity::Full => Self::Full,
-            Validity::Mixed { cols, bits: words } => {
-                Self::Mixed { cols: *cols, bits: bits(words)? }
+            Validity::Mixed { cols, bits: bytes } => {
+                Self::Mixed { cols: *cols, bits: bits(bytes)? }
             }
         })
     }

@@ -86,11 +86,10 @@ impl<'a, S: Texel> Shop<'a, S> {
                 NotedValidity::Empty => Validity::Empty,
                 NotedValidity::Full => Validity::Full,
                 NotedValidity::Mixed { cols, bits: slot } => {
-                    let Ok(bytes) = self.scratch.get(slot) else { return false };
-                    let bits: Vec<u64> = bytemuck::pod_collect_to_vec(&bytes);
-                    let size = pyramid.interior_size(page);
-                    let texels = size.0 as usize * size.1 as usize;
-                    if cols != size.1 as usize || bits.len() != texels.div_ceil(64) {
+                    let Ok(bits) = self.scratch.get(slot) else { return false };
+                    let (rows, page_cols) = pyramid.interior_size(page);
+                    let length = Validity::length(rows as usize, cols);
+                    if cols != page_cols as usize || bits.len() != length {
                         return false;
                     }
                     noted_bits.push(slot);
@@ -115,7 +114,7 @@ impl<'a, S: Texel> Shop<'a, S> {
     /// Saves everything, and says what a later process needs to go on.
     pub(crate) fn note(&mut self, archive: u64, units: u64) -> io::Result<Note> {
         let pages = self.frontier.save_all()?;
-        let bits = |words: &[u64]| self.scratch.put(&[bytemuck::cast_slice(words)]);
+        let bits = |bits: &[u8]| self.scratch.put(&[bits]);
         let validity = self.validity.iter();
         let validity =
             validity.map(|(&page, validity)| Ok((page, NotedValidity::of(validity, bits)?)));

@@ -161,8 +161,8 @@ impl Figures {
     ) -> Self {
         let total = tile.rows * tile.cols;
         let valid = tile.coverage.as_ref().map_or(total, |codes| {
-            let row = |row: usize| codes[tile.row(row)].iter().filter(|&&code| code != 0).count();
-            (0..tile.rows).map(row).sum()
+            let row = |row: usize| codes[tile.row(row)].iter().map(|&code| u32::from(code != 0));
+            (0..tile.rows).map(|at| row(at).sum::<u32>() as usize).sum()
         });
         #[expect(clippy::cast_possible_truncation, reason = "a share in f32")]
         let valid_fraction = (valid as f64 / total as f64) as f32;
@@ -229,16 +229,13 @@ fn border_range<S: Texel>(tile: &Tile<S>) -> (S, S) {
 fn range_of<S: Texel>(tile: &Tile<S>, parts: impl Iterator<Item = Range<usize>>) -> (S, S) {
     let mut range = S::NOTHING;
     for part in parts {
-        let covered = tile.coverage.as_ref().map(|codes| &codes[part.clone()]);
         for plane in &tile.planes {
-            match covered.filter(|codes| codes.contains(&0)) {
-                None => range = union(range, lanes::extremes(&plane[part.clone()], S::NOTHING)),
-                Some(codes) => {
-                    let texels = plane[part.clone()].iter().zip(codes);
-                    let valid = texels.filter(|(_, code)| **code != 0);
-                    range = valid.fold(range, |range, (&texel, _)| union(range, (texel, texel)));
-                }
-            }
+            let texels = &plane[part.clone()];
+            let of_part = match &tile.coverage {
+                None => lanes::extremes(texels, S::NOTHING),
+                Some(codes) => lanes::covered_extremes(texels, &codes[part.clone()], S::NOTHING),
+            };
+            range = union(range, of_part);
         }
     }
     range

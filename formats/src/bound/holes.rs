@@ -8,112 +8,150 @@ pub(super) struct Holes<'a, S: Texel> {
     parent: Window<'a, S>,
     child: Child<'a, S>,
     terms: Terms<S>,
-    /// In the three rows of the child that a row of cells looks at, by column of the window.
-    fine: Columns,
-    /// In the two rows of the parent, likewise.
-    coarse: Columns,
+    /// What the three rows of the child have that a row of cells looks at, by column of the window:
+    /// [`HOLE`], [`VALID`] or both.
+    fine: Vec<u8>,
+    /// What the two rows of the parent have, likewise.
+    coarse: Vec<u8>,
+    /// What each cell of the row is: [`WHOLE`], [`BESIDE`] or [`WITHIN`] holes.
+    places: Vec<u8>,
 }
 
-/// Columns with a hole in one of some rows, and those with nothing else: 1, else 0.
-struct Columns {
-    any: Vec<u8>,
-    all: Vec<u8>,
-}
+const HOLE: u8 = 1;
+const VALID: u8 = 2;
+
+/// No tap is missing.
+const WHOLE: u8 = 0;
+/// Some taps are missing.
+const BESIDE: u8 = 1;
+/// There is no tap, of the child or of the parent: nothing to hold against one another.
+const WITHIN: u8 = 2;
 
 impl<'a, S: Texel> Holes<'a, S> {
     pub(super) fn new(parent: Window<'a, S>, child: Child<'a, S>, terms: Terms<S>) -> Self {
-        let flags = || vec![0; parent.side];
-        let columns = || Columns { any: flags(), all: flags() };
-        Self { parent, child, terms, fine: columns(), coarse: columns() }
+        let columns = || vec![VALID; parent.side];
+        let places = vec![WHOLE; child.size.1.next_multiple_of(2)];
+        Self { parent, child, terms, fine: columns(), coarse: columns(), places }
     }
 
     /// Replaces the intervals of row `row` that a missing tap made wrong.
+    #[inline(always)]
     pub(super) fn mend(
         &mut self,
         row: usize,
         known: Option<Ends<'_, S::Cell>>,
         Row { low, high }: &mut Row<S>,
     ) {
-        let interior = self.parent.side - 2;
-        let (top, bottom, _) = parent_taps(self.child.row * interior + row, 1);
-        let fine = self.fine.mark(self.child.window, &[row, row + 1, row + 2]);
-        let coarse = self.coarse.mark(self.parent, &[top, bottom]);
-        if !(fine || coarse) {
+        if !self.find(row) {
             return;
         }
-        for col in 0..self.child.size.1 {
-            let (left, right, _) = parent_taps(self.child.col * interior + col, 1);
-            let of_fine = |flags: &[u8]| [flags[col], flags[col + 1], flags[col + 2]];
-            let of_coarse = |flags: &[u8]| [flags[left], flags[right]];
-            let any = of_fine(&self.fine.any)
-                .iter()
-                .chain(&of_coarse(&self.coarse.any))
-                .any(|&hole| hole == 1);
-            if !any {
-                continue;
+        let mut next = 0;
+        for run in self.places[..self.child.size.1].chunk_by(|one, other| one == other) {
+            let cells = next..next + run.len();
+            next = cells.end;
+            if run[0] == WITHIN {
+                low[cells.clone()].fill(S::EMPTY.0);
+                high[cells].fill(S::EMPTY.1);
+            } else if run[0] == BESIDE {
+                for col in cells {
+                    let end = |end: S::Cell| S::end(end, self.terms.known_log2);
+                    let known =
+                        known.map_or([0.0; 2], |ends| [end(ends.low[col]), end(ends.high[col])]);
+                    let (least, greatest) = self.careful(row, col, known);
+                    (low[col], high[col]) = S::outward(least, greatest, self.terms.unit_log2);
+                }
             }
-            // In the middle of a hole there is nothing to hold against one another.
-            let nothing =
-                of_fine(&self.fine.all) == [1; 3] || of_coarse(&self.coarse.all) == [1; 2];
-            let (least, greatest) = if nothing {
-                (f64::INFINITY, f64::NEG_INFINITY)
-            } else {
-                let end = |end: S::Cell| S::end(end, self.terms.known_log2);
-                let known =
-                    known.map_or([0.0; 2], |ends| [end(ends.low[col]), end(ends.high[col])]);
-                self.careful(row, col, known)
-            };
-            (low[col], high[col]) = S::outward(least, greatest, self.terms.unit_log2);
         }
+    }
+
+    /// Says what the cells of a row are; false if all are whole.
+    #[inline(always)]
+    fn find(&mut self, row: usize) -> bool {
+        let Self { parent, child, fine, coarse, places, .. } = self;
+        let interior = parent.side - 2;
+        let (top, bottom, _) = parent_taps(child.row * interior + row, 1);
+        let in_fine = mark(child.window, [row, row + 1, row + 2], fine);
+        let in_coarse = mark(*parent, [top, bottom, bottom], coarse);
+        if !(in_fine || in_coarse) {
+            return false;
+        }
+        let coarse = &coarse[child.col * interior / 2..];
+        let twos = coarse.iter().zip(&coarse[1..]).zip(&coarse[2..]);
+        for (pair, ((&a, &b), &c)) in places.as_chunks_mut::<2>().0.iter_mut().zip(twos) {
+            *pair = [a | b, b | c];
+        }
+        let threes = fine.iter().zip(&fine[1..]).zip(&fine[2..]);
+        for (place, ((&a, &b), &c)) in places.iter_mut().zip(threes) {
+            let (fine, coarse) = (a | b | c, *place);
+            let within = (fine == HOLE) | (coarse == HOLE);
+            *place = ((fine | coarse) & HOLE) + u8::from(within);
+        }
+        true
     }
 
     /// The interval of a child cell with missing taps around.
     fn careful(&self, row: usize, col: usize, known: [f64; 2]) -> (f64, f64) {
         let Self { parent, child, terms: Terms { rounding, .. }, .. } = self;
         let interior = parent.side - 2;
-        let coarse = LATTICE.map(|(down, across)| {
-            let (top, bottom, below) = parent_taps(child.row * interior + row, down);
-            let (left, right, beside) = parent_taps(child.col * interior + col, across);
-            let [below, beside] = [below, beside].map(|quarters| f64::from(quarters) / 4.0);
-            let taps = [
-                (top, left, (1.0 - below) * (1.0 - beside)),
-                (top, right, (1.0 - below) * beside),
-                (bottom, left, below * (1.0 - beside)),
-                (bottom, right, below * beside),
+        let (row_in_parent, col_in_parent) =
+            (child.row * interior + row, child.col * interior + col);
+        let (top, bottom, _) = parent_taps(row_in_parent, 1);
+        let (left, right, _) = parent_taps(col_in_parent, 1);
+        let texels = [(top, left), (top, right), (bottom, left), (bottom, right)];
+        let texels = texels.map(|(row, col)| parent.at(row, col));
+        let mut coarse = [0.0; 9];
+        for ((down, across), here) in LATTICE.into_iter().zip(&mut coarse) {
+            let below = f64::from(parent_taps(row_in_parent, down).2) / 4.0;
+            let beside = f64::from(parent_taps(col_in_parent, across).2) / 4.0;
+            let weights = [
+                (1.0 - below) * (1.0 - beside),
+                (1.0 - below) * beside,
+                below * (1.0 - beside),
+                below * beside,
             ];
-            let weighing = taps.iter().filter(|tap| tap.2 > 0.0);
-            weighing.map(|&(r, c, weight)| weight * parent.at(r, c)).sum::<f64>()
-        });
-        let (least, greatest) = finest_around(child.window, row, col);
-        let known_coarse = coarse.iter().filter(|here| !here.is_nan());
-        let (lowest, highest) = known_coarse
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &here| {
-                (low.min(here), high.max(here))
-            });
+            for (weight, texel) in weights.into_iter().zip(texels) {
+                *here += if weight > 0.0 { weight * texel } else { 0.0 };
+            }
+        }
+        let mut lowest = f64::INFINITY;
+        let mut highest = f64::NEG_INFINITY;
+        for here in coarse.into_iter().filter(|here| !here.is_nan()) {
+            (lowest, highest) = (lowest.min(here), highest.max(here));
+        }
+        let mut fine = [[0.0; 3]; 3];
+        for (down, texels) in fine.iter_mut().enumerate() {
+            for (across, texel) in texels.iter_mut().enumerate() {
+                *texel = child.window.at(row + down, col + across);
+            }
+        }
+        let (least, greatest) = finest_around(child.window, &fine, row, col);
 
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-        for ((down, across), here) in LATTICE.into_iter().zip(coarse) {
-            let (top, bottom) = taps(row + 1, down);
-            let (left, right) = taps(col + 1, across);
-            let corners = [(top, left), (top, right), (bottom, left), (bottom, right)];
-            let fine = corners.map(|(r, c)| child.window.at(r, c)).iter().sum::<f64>() / 4.0;
-            if !fine.is_nan() {
-                if !here.is_nan() {
-                    low = low.min(here - fine + known[0] - rounding);
-                    high = high.max(here - fine + known[1] + rounding);
-                }
-                continue;
+        let mut broken = [false; 9];
+        for (((down, across), here), broken) in LATTICE.into_iter().zip(coarse).zip(&mut broken) {
+            let (top, bottom) = taps(1, down);
+            let (left, right) = taps(1, across);
+            let sum = fine[top][left] + fine[top][right] + fine[bottom][left] + fine[bottom][right];
+            let difference = here - sum / 4.0;
+            *broken = sum.is_nan();
+            if !difference.is_nan() {
+                low = low.min(difference + known[0] - rounding);
+                high = high.max(difference + known[1] + rounding);
             }
-            if child.finest {
-                continue;
-            }
-            // The chain breaks on the quarters and edges that meet here. R_l is bilinear on each, so
-            // its extremes are at the points of the lattice beside this one; R_L may be anything.
-            for ((other_down, other_across), there) in LATTICE.into_iter().zip(coarse) {
-                let beside = other_down.abs_diff(down) <= 1 && other_across.abs_diff(across) <= 1;
-                if beside && !there.is_nan() && least <= greatest {
-                    low = low.min(there - greatest - rounding);
-                    high = high.max(there - least + rounding);
+        }
+        if !child.finest && least <= greatest {
+            // The chain breaks on the quarters and edges that meet in such a point. R_l is bilinear
+            // on each, so its extremes are at the points of the lattice beside it; R_L may be
+            // anything.
+            for ((down, across), _) in LATTICE.into_iter().zip(broken).filter(|(_, broken)| *broken)
+            {
+                for ((other_down, other_across), there) in LATTICE.into_iter().zip(coarse) {
+                    let beside =
+                        other_down.abs_diff(down) <= 1 && other_across.abs_diff(across) <= 1;
+                    if beside && !there.is_nan() {
+                        low = low.min(there - greatest - rounding);
+                        high = high.max(there - least + rounding);
+                    }
                 }
             }
         }
@@ -122,39 +160,36 @@ impl<'a, S: Texel> Holes<'a, S> {
     }
 }
 
-impl Columns {
-    /// Marks the columns by what they have in `rows`; false if there are no holes.
-    fn mark<S>(&mut self, window: Window<'_, S>, rows: &[usize]) -> bool {
-        let Some(coverage) = window.coverage else { return false };
-        let row = |row: usize| &coverage[row * window.side..][..window.side];
-        let holes = rows.iter().any(|&at| row(at).contains(&0));
-        self.any.fill(0);
-        self.all.fill(u8::from(holes));
-        for &at in rows.iter().filter(|_| holes) {
-            for ((any, all), &code) in self.any.iter_mut().zip(&mut self.all).zip(row(at)) {
-                let hole = u8::from(code == 0);
-                (*any, *all) = (*any | hole, *all & hole);
-            }
-        }
-        holes
+/// Marks columns by what they have in three rows; false if there are no holes.
+#[inline(always)]
+fn mark<S>(window: Window<'_, S>, rows: [usize; 3], columns: &mut [u8]) -> bool {
+    let Some(coverage) = window.coverage else { return false };
+    let [a, b, c] = rows.map(|row| &coverage[row * window.side..][..window.side]);
+    let mut any = 0;
+    for (column, ((&a, &b), &c)) in columns.iter_mut().zip(a.iter().zip(b).zip(c)) {
+        let of = |code: u8| if code == 0 { HOLE } else { VALID };
+        *column = of(a) | of(b) | of(c);
+        any |= *column;
     }
+    any & HOLE != 0
 }
 
-/// Least and greatest finest texel under a child cell and its eight neighbors.
-fn finest_around<S: Texel>(window: Window<'_, S>, row: usize, col: usize) -> (f64, f64) {
+/// Least and greatest finest texel under a child cell and its eight neighbors, `texels`.
+fn finest_around<S: Texel>(
+    window: Window<'_, S>,
+    texels: &[[f64; 3]; 3],
+    row: usize,
+    col: usize,
+) -> (f64, f64) {
     let (mut least, mut greatest) = (f64::INFINITY, f64::NEG_INFINITY);
-    for r in row..row + 3 {
-        for c in col..col + 3 {
-            let at = r * window.side + c;
-            if window.at(r, c).is_nan() {
-                continue;
-            }
+    for (down, texels) in texels.iter().enumerate() {
+        for (across, &texel) in texels.iter().enumerate().filter(|(_, texel)| !texel.is_nan()) {
+            let at = (row + down) * window.side + col + across;
             let (low, high) = match window.span {
-                Some(span) => (span.least[at], span.greatest[at]),
-                None => (window.texels[at], window.texels[at]),
+                Some(span) => (span.least[at].into(), span.greatest[at].into()),
+                None => (texel, texel),
             };
-            least = least.min(low.into());
-            greatest = greatest.max(high.into());
+            (least, greatest) = (least.min(low), greatest.max(high));
         }
     }
     (least, greatest)

@@ -131,10 +131,7 @@ pub fn encode_whole_heights_into(
     let none = (i16::MAX, i16::MIN);
     let (least, greatest) = match coverage {
         None => lanes::extremes(texels, none),
-        Some(coverage) => {
-            let covered = texels.iter().zip(coverage).filter(|(_, code)| **code != 0);
-            covered.fold(none, |range, (&texel, _)| (texel.min(range.0), texel.max(range.1)))
-        }
+        Some(coverage) => lanes::covered_extremes(texels, coverage, none),
     };
     let base = if least > greatest { 0 } else { least };
     write_head(coverage.is_some(), false, base.into(), payload);

@@ -4,6 +4,7 @@
 //! are what LZ4 is bad at: a match needs four bytes alike, which is 32 texels. They are stored as a
 //! bitmap of the bytes that are not 0, then those bytes.
 
+use crate::lanes::present;
 use lz4_flex::block::{CompressTable, compress_into_with_table, decompress_into};
 
 /// How a plane is stored. The numbers are those of the format.
@@ -114,11 +115,11 @@ pub(super) fn read(method: Method, bytes: &[u8], plane: &mut [u8]) -> Option<()>
 /// Writes bitmap and bytes; `ones` of the bytes are not 0.
 fn write_sparse(plane: &[u8], ones: usize, out: &mut Vec<u8>) {
     let (words, rest) = plane.as_chunks();
-    out.extend(words.iter().map(|word| which(u64::from_le_bytes(*word))));
+    out.extend(words.iter().map(|word| present(*word)));
     if !rest.is_empty() {
         let mut word = [0; 8];
         word[..rest.len()].copy_from_slice(rest);
-        out.push(which(u64::from_le_bytes(word)));
+        out.push(present(word));
     }
     let start = out.len();
     // Every byte is written, and the next one overwrites a 0: branches would be guesses. A word has
@@ -143,15 +144,6 @@ fn write_sparse(plane: &[u8], ones: usize, out: &mut Vec<u8>) {
         at += usize::from(byte != 0);
     }
     out.truncate(start + ones);
-}
-
-/// Which bytes of a word are not 0, a bit each.
-#[inline(always)]
-const fn which(word: u64) -> u8 {
-    const LOW: u64 = 0x7f7f_7f7f_7f7f_7f7f;
-    let tops = (((word & LOW) + LOW) | word) & !LOW;
-    // The multiplication moves bit 7 of byte j to bit 56 + j; no two meet on the way.
-    ((tops >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56).to_le_bytes()[0]
 }
 
 /// For each eight bits of a bitmap: which of the bytes that follow goes where, and where there is one.

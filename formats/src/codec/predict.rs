@@ -152,11 +152,42 @@ pub(super) fn fill_holes<L: Lane>(p: Predictor, coverage: &[u8], side: usize, la
         let (above, rows) = lanes.split_at_mut(y * side);
         let above = &above[y.saturating_sub(1) * side..];
         let row = &mut rows[..side];
-        for (x, &covered) in coverage.iter().enumerate() {
-            if covered == 0 {
-                row[x] = p.predict(above, &row[..x]);
-            }
+        let last = side - 1;
+        // The ends are cases of their own.
+        if coverage[0] == 0 {
+            row[0] = p.predict(above, &[]);
         }
+        let steps = above.iter().zip(above.iter().skip(1));
+        match p {
+            Predictor::None => {
+                for (lane, &covered) in row.iter_mut().zip(coverage) {
+                    *lane = if covered == 0 { L::default() } else { *lane };
+                }
+            }
+            Predictor::Plane if y > 0 => {
+                fill_row(coverage, row, steps.map(|(&ul, &u)| u.wrapping_sub(ul)));
+            }
+            Predictor::Slope if y > 0 => {
+                let steps = steps.zip(above.iter().skip(2));
+                fill_row(coverage, row, steps.map(|((&ul, &u), &ur)| slope(ul, u, ur)));
+            }
+            _ => fill_row(coverage, row, std::iter::repeat(L::default())),
+        }
+        if coverage[last] == 0 {
+            row[last] = p.predict(above, &row[..last]);
+        }
+    }
+}
+
+/// [`fill_holes`] in a row from its second lane on, as far as there are slopes.
+#[inline(always)]
+fn fill_row<L: Lane>(coverage: &[u8], row: &mut [L], slopes: impl Iterator<Item = L>) {
+    let mut left = row[0];
+    for ((lane, &covered), slope) in row[1..].iter_mut().zip(&coverage[1..]).zip(slopes) {
+        if covered == 0 {
+            *lane = left.wrapping_add(slope);
+        }
+        left = *lane;
     }
 }
 

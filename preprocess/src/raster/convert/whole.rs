@@ -98,13 +98,17 @@ fn lay<S, T: Into<i16>>(
     height: impl Fn(S) -> (T, bool),
 ) -> usize {
     let mut written = 0_u32;
+    // Everything is stored, if unchanged: a store on a condition is no vector.
     for (texel, sample) in texels.iter_mut().zip(samples.clone()) {
         let (height, valid) = height(sample);
-        *texel = if valid { height.into() } else { *texel };
+        let mask = i16::from(valid).wrapping_neg();
+        *texel = *texel & !mask | height.into() & mask;
         written += u32::from(valid);
     }
-    for (alpha, sample) in alpha.into_iter().flatten().zip(samples) {
-        *alpha = if height(sample).1 { u8::MAX } else { *alpha };
+    if let Some(alpha) = alpha {
+        for (alpha, sample) in alpha.iter_mut().zip(samples) {
+            *alpha |= u8::from(height(sample).1).wrapping_neg();
+        }
     }
     written as usize
 }
