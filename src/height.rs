@@ -36,7 +36,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     points: Option<PathBuf>,
 
-    /// Only this dataset.
+    /// Only this dataset, or the parts of this group.
     #[arg(long)]
     dataset: Option<String>,
 
@@ -64,13 +64,13 @@ impl Args {
 
         let (catalog, archives) = Catalog::open_each(&self.catalog)?;
         if let Some(name) = &self.dataset {
-            catalog.dataset(name)?;
+            catalog.named(name)?;
         }
         let chosen: Vec<Archive> = catalog
             .datasets()
             .iter()
             .zip(archives)
-            .filter(|(record, _)| self.dataset.as_ref().is_none_or(|name| *name == record.name))
+            .filter(|(record, _)| self.dataset.as_ref().is_none_or(|name| record.answers_to(name)))
             .map(|(_, archive)| archive)
             .collect::<Result<_, CatalogError>>()?;
         let mut query = HeightQuery::new(&chosen, self.level.map(Level));

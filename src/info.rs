@@ -18,7 +18,7 @@ pub(crate) struct Args {
     #[arg(value_name = "DIR")]
     catalog: PathBuf,
 
-    /// Only this dataset.
+    /// Only this dataset, or the parts of this group.
     dataset: Option<String>,
 
     /// Print JSON.
@@ -30,13 +30,13 @@ impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
         let (catalog, archives) = Catalog::open_each(&self.catalog)?;
         if let Some(name) = &self.dataset {
-            catalog.dataset(name)?;
+            catalog.named(name)?;
         }
         let chosen: Vec<_> = catalog
             .datasets()
             .iter()
             .zip(&archives)
-            .filter(|(record, _)| self.dataset.as_ref().is_none_or(|name| *name == record.name))
+            .filter(|(record, _)| self.dataset.as_ref().is_none_or(|name| record.answers_to(name)))
             .map(|(record, archive)| match archive {
                 Ok(archive) => dataset(record, archive),
                 Err(error) => Ok(unreadable(record, error)),
@@ -65,6 +65,7 @@ impl Args {
 fn unreadable(record: &DatasetRecord, error: &CatalogError) -> Value {
     json!({
         "name": record.name,
+        "group": record.group,
         "kind": record.kind.name(),
         "priority": record.priority,
         "bytes": record.bytes,
@@ -101,6 +102,7 @@ fn dataset(record: &DatasetRecord, archive: &Archive) -> Result<Value, Failure> 
     };
     Ok(json!({
         "name": record.name,
+        "group": record.group,
         "kind": record.kind.name(),
         "priority": record.priority,
         "grid": {
@@ -145,8 +147,9 @@ fn text(catalog: &Catalog, datasets: &[Value]) -> Result<(), Failure> {
         }
         let grid = &dataset["grid"];
         output::line(format_args!(
-            "\n{}: {}, {} x {}, {} pages, {} bytes\n  {}",
+            "\n{}{}: {}, {} x {}, {} pages, {} bytes\n  {}",
             dataset["name"].as_str().unwrap_or_default(),
+            dataset["group"].as_str().map(|group| format!(", part of {group}")).unwrap_or_default(),
             dataset["kind"].as_str().unwrap_or_default(),
             grid["width"],
             grid["height"],

@@ -22,7 +22,7 @@ pub(crate) struct Args {
     #[arg(value_name = "DIR")]
     catalog: PathBuf,
 
-    /// The dataset.
+    /// The dataset: of a group, one part.
     dataset: String,
 
     /// The level, 0 coarsest.

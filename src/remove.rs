@@ -8,14 +8,14 @@ use areoid_formats::catalog::{RealDisk, remove_dataset};
 use crate::failure::Failure;
 use crate::output;
 
-/// Remove a dataset from a catalog.
+/// Remove a dataset, or all parts of a group, from a catalog.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The catalog.
     #[arg(value_name = "DIR")]
     catalog: PathBuf,
 
-    /// The dataset.
+    /// The dataset or group.
     dataset: String,
 
     /// Print JSON.

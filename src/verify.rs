@@ -28,7 +28,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "RASTER", num_args = 1.., requires = "dataset")]
     against: Vec<PathBuf>,
 
-    /// Only this dataset.
+    /// Only this dataset, or the parts of this group.
     #[arg(long)]
     dataset: Option<String>,
 
@@ -41,12 +41,12 @@ impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
         let (catalog, archives) = Catalog::open_each(&self.catalog)?;
         if let Some(name) = &self.dataset {
-            catalog.dataset(name)?;
+            catalog.named(name)?;
         }
         let mut problems: Vec<String> = Vec::new();
         let mut levels: Vec<Value> = Vec::new();
         for (record, archive) in catalog.datasets().iter().zip(&archives) {
-            if self.dataset.as_ref().is_some_and(|name| *name != record.name) {
+            if self.dataset.as_ref().is_some_and(|name| !record.answers_to(name)) {
                 continue;
             }
             let archive = match archive {

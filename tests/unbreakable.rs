@@ -11,6 +11,7 @@
 //!   modified   rasters that change while they are read
 //!   hints      what is said of going on
 //!   stray      archives that only lack a manifest that names them
+//!   groups     datasets that are named, replaced and removed as one
 //! ```
 //!
 //! A short form by default; `AREOID_SOAK=1` makes it 200 kills and a minute of churn.
@@ -31,6 +32,7 @@ mod unbreakable {
     mod churn;
     mod damage;
     mod full;
+    mod groups;
     mod hints;
     mod kills;
     mod modified;

@@ -63,6 +63,7 @@ fn replace(folder: &Path, bytes: &[u8], written: &Written) {
     std::io::Write::write_all(&mut build, bytes).unwrap();
     let dataset = NewDataset {
         name: record.name,
+        group: record.group,
         kind: record.kind,
         priority: record.priority,
         body: catalog.body().clone(),

@@ -26,6 +26,7 @@ fn a_catalog_opens_with_what_can_be_read() {
         build.write_all(&bytes).unwrap();
         let dataset = NewDataset {
             name: name.to_owned(),
+            group: None,
             kind: Kind::Height,
             priority: 3,
             body: mars(),

@@ -34,6 +34,33 @@ pub enum CatalogError {
         folder: PathBuf,
     },
 
+    /// A group where one dataset was asked for.
+    #[error("{name} is a group: name one of {}", members.join(", "))]
+    Group {
+        /// The name asked for.
+        name: String,
+        /// Its parts.
+        members: Vec<String>,
+    },
+
+    /// The name of a part where that of a whole was asked for.
+    #[error("{name} is a part of {group}, which is replaced and removed as a whole")]
+    Part {
+        /// The name asked for.
+        name: String,
+        /// The group.
+        group: String,
+    },
+
+    /// A group whose part would have the name of another dataset.
+    #[error("{group} would have a part called {name}, and there is another dataset of that name")]
+    PartTaken {
+        /// The part.
+        name: String,
+        /// The group.
+        group: String,
+    },
+
     /// A dataset that is there already.
     #[error(
         "a dataset called {name} is there already, made from something else: --force replaces it"

@@ -40,6 +40,10 @@ pub struct Manifest {
 pub struct DatasetRecord {
     /// Its name.
     pub name: String,
+    /// The group that it is a part of: what the user names, replaces and removes as one. Its name is
+    /// the group's, a dot, and what part it is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group: Option<String>,
     /// Its number in the tree of boxes: that of no other dataset, and its own for good.
     pub item: u32,
     /// Its archive, a file in the catalog's `archives` folder: [`DatasetRecord::file_of`] its name
@@ -64,11 +68,24 @@ impl DatasetRecord {
         format!("{name}-{content}.areoid")
     }
 
+    /// What the user calls it: its group, if it is a part of one.
+    #[must_use]
+    pub fn called(&self) -> &str {
+        self.group.as_ref().unwrap_or(&self.name)
+    }
+
+    /// Whether `name` means it: its own name, or that of its group.
+    #[must_use]
+    pub fn answers_to(&self, name: &str) -> bool {
+        self.name == name || self.called() == name
+    }
+
     /// Whether a writer would have written it: above all, whether its file is one in the folder
     /// of archives and nowhere else.
     fn is_sound(&self) -> bool {
         let digits = |c: char| matches!(c, '0'..='9' | 'a'..='f');
         check_name(&self.name).is_ok()
+            && self.group.as_ref().is_none_or(|group| is_part(&self.name, group))
             && self.content.len() == 16
             && self.content.chars().all(digits)
             && self.file == Self::file_of(&self.name, &self.content)
@@ -85,17 +102,39 @@ impl Manifest {
         Self { generation: 0, body, datasets: Vec::new(), bvh: Bvh::default() }
     }
 
-    /// Takes a dataset out, if there is one of this name.
-    pub(super) fn take_out(&mut self, name: &str) -> Option<DatasetRecord> {
-        let place = self.datasets.iter().position(|record| record.name == name)?;
-        let record = self.datasets.remove(place);
-        self.bvh.remove(record.item);
-        Some(record)
+    /// The dataset that the user calls `name`, or the parts of the group.
+    pub(super) fn parts(&self, name: &str) -> impl Iterator<Item = &DatasetRecord> {
+        self.datasets.iter().filter(move |record| record.called() == name)
+    }
+
+    /// Refuses a dataset `name`, of `group` if it is a part, whose name or whose group's is that of
+    /// a dataset or a group which it would not replace.
+    pub(super) fn check_free(&self, name: &str, group: Option<&str>) -> Result<(), CatalogError> {
+        let called = group.unwrap_or(name);
+        for other in self.datasets.iter().filter(|other| other.called() != called) {
+            if let Some(owner) = &other.group
+                && (other.name == name || other.name == called)
+            {
+                return Err(CatalogError::Part { name: other.name.clone(), group: owner.clone() });
+            }
+            if other.called() == name {
+                let (name, group) = (name.to_owned(), called.to_owned());
+                return Err(CatalogError::PartTaken { name, group });
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes out all datasets but those to keep.
+    pub(super) fn retain(&mut self, keep: impl Fn(&DatasetRecord) -> bool) {
+        for record in self.datasets.extract_if(.., |record| !keep(record)) {
+            self.bvh.remove(record.item);
+        }
     }
 
     /// Puts a dataset in, in the place of one of its name, with a box around it.
     pub(super) fn put_in(&mut self, record: DatasetRecord, bounds: Aabb) {
-        self.take_out(&record.name);
+        self.retain(|before| before.name != record.name);
         self.bvh.insert(record.item, bounds);
         self.datasets.push(record);
         self.datasets.sort_by(|one, other| one.name.cmp(&other.name));
@@ -141,6 +180,11 @@ impl Manifest {
         if !manifest.datasets.is_sorted_by(|one, other| one.name < other.name) {
             return Err(invalid("its datasets are not in the order of their names"));
         }
+        let groups: BTreeSet<&str> =
+            manifest.datasets.iter().filter_map(|record| record.group.as_deref()).collect();
+        if manifest.datasets.iter().any(|record| groups.contains(record.name.as_str())) {
+            return Err(invalid("a dataset and a group have one name"));
+        }
         let items: BTreeSet<u32> = manifest.datasets.iter().map(|record| record.item).collect();
         let in_tree = items.iter().all(|&item| manifest.bvh.get(item).is_some());
         if items.len() != manifest.datasets.len() || manifest.bvh.len() != items.len() || !in_tree {
@@ -157,6 +201,12 @@ pub(super) fn check_name(name: &str) -> Result<(), CatalogError> {
         && name.chars().all(allowed)
         && name.starts_with(|c: char| c.is_ascii_alphanumeric());
     if plain { Ok(()) } else { Err(CatalogError::Name { name: name.to_owned() }) }
+}
+
+/// Whether `name` is that of a part of `group`.
+pub(super) fn is_part(name: &str, group: &str) -> bool {
+    let part = name.strip_prefix(group).and_then(|rest| rest.strip_prefix('.'));
+    part.is_some_and(|part| !part.is_empty())
 }
 
 /// The name of the manifest of a generation.
@@ -220,6 +270,24 @@ pub(super) fn newest(folder: &Path) -> Result<Option<Manifest>, CatalogError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What was written before there were groups is read, and written as it was.
+    #[test]
+    fn a_manifest_without_groups_keeps_its_bytes() {
+        let old = concat!(
+            "areoid-manifest 1 f3dda9134a18c63e\n",
+            r#"{"generation":1,"body":{"name":"mars","ellipsoid":{"a":3396190.0,"b":3396190.0}},"#,
+            r#""datasets":[{"name":"old","item":0,"file":"old-0c33aa654024bbc9.areoid","#,
+            r#""kind":"height","priority":0,"bytes":717881,"content":"0c33aa654024bbc9","#,
+            r#""source":{"files":[{"name":"mola_north_polar_4km.tif","bytes":499113,"#,
+            r#""xxh3":"dfdac38bc736a5e20d6498cae7f89a8e"}]}}],"bvh":[{"item":0,"bounds":{"#,
+            r#""min":[-1920529.9998724444,-1920529.9998724444,2298163.529594564],"#,
+            r#""max":[1920529.9998724444,1920529.9998724444,3396255.00339619]}}]}"#,
+        );
+        let manifest = Manifest::from_bytes(old.as_bytes(), 1, Path::new("manifest.1")).unwrap();
+        assert_eq!(manifest.datasets[0].group, None);
+        assert_eq!(String::from_utf8(manifest.to_bytes()).unwrap(), old);
+    }
 
     #[test]
     fn a_damaged_manifest_is_refused() {

@@ -11,6 +11,7 @@ mod error;
 mod manifest;
 
 mod build;
+mod change;
 mod publish;
 mod stray;
 
@@ -22,7 +23,10 @@ pub use build::Build;
 pub use disk::{Disk, RealDisk};
 pub use error::CatalogError;
 pub use manifest::{DatasetRecord, Manifest};
-pub use publish::{Existing, NewDataset, publish_build, publish_stray, remove_dataset};
+pub use publish::{
+    Existing, Finished, NewDataset, publish_archives, publish_build, publish_builds, publish_stray,
+    remove_dataset,
+};
 pub use stray::stray;
 
 use crate::archive::Archive;
@@ -116,17 +120,44 @@ impl Catalog {
         &self.manifest.bvh
     }
 
-    /// The dataset called `name`.
+    /// What `name` means: a dataset, all parts of a group, or the one part of that name.
     ///
     /// # Errors
     ///
     /// [`CatalogError::NoSuchDataset`].
+    pub fn named(&self, name: &str) -> Result<Vec<&DatasetRecord>, CatalogError> {
+        let records = self.datasets().iter();
+        let found: Vec<_> = records.filter(|record| record.answers_to(name)).collect();
+        if found.is_empty() {
+            let (name, folder) = (name.to_owned(), self.folder.clone());
+            return Err(CatalogError::NoSuchDataset { name, folder });
+        }
+        Ok(found)
+    }
+
+    /// The one dataset whose own name is `name`.
+    ///
+    /// # Errors
+    ///
+    /// [`CatalogError::Group`], [`CatalogError::NoSuchDataset`].
     pub fn dataset(&self, name: &str) -> Result<&DatasetRecord, CatalogError> {
-        let found = self.datasets().iter().find(|record| record.name == name);
-        found.ok_or_else(|| CatalogError::NoSuchDataset {
+        let found = self.named(name)?;
+        let whole = found.iter().find(|record| record.name == name);
+        whole.copied().ok_or_else(|| CatalogError::Group {
             name: name.to_owned(),
-            folder: self.folder.clone(),
+            members: found.iter().map(|record| record.name.clone()).collect(),
         })
+    }
+
+    /// Refuses a name that a new dataset, of `group` if it is a part of one, could not have,
+    /// replacing whatever the user calls the same: what [`publish_archives`] would refuse, before
+    /// anything is built.
+    ///
+    /// # Errors
+    ///
+    /// [`CatalogError::Part`], [`CatalogError::PartTaken`].
+    pub fn check_free(&self, name: &str, group: Option<&str>) -> Result<(), CatalogError> {
+        self.manifest.check_free(name, group)
     }
 
     /// Where the archive of a dataset lies.

@@ -1,16 +1,18 @@
-//! Changing a catalog: one atomic step a change.
+//! Changing a catalog: what becomes a dataset, and what is one no longer.
 
 use std::cell::Cell;
-use std::fs::{self, File};
+use std::collections::BTreeSet;
+use std::fs::File;
 use std::io;
 use std::path::Path;
 
 use glam::DVec3;
 
-use super::build::{ARCHIVES, Build, remove};
+use super::build::{ARCHIVES, Build};
+use super::change::change;
 use super::disk::Disk;
 use super::error::CatalogError;
-use super::manifest::{self, DatasetRecord, Manifest};
+use super::manifest::{self, DatasetRecord, Manifest, is_part};
 use crate::address::{Level, PageAddress};
 use crate::archive::{Archive, Description, Source};
 use crate::body::Body;
@@ -19,9 +21,6 @@ use crate::page::Kind;
 use crate::storage::FileSource;
 use crate::units::Meters;
 use crate::volume::Volume;
-
-const LOCK: &str = "catalog.lock";
-const TEMPORARY: &str = "manifest-";
 
 /// What becomes of a dataset that is there already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,6 +36,8 @@ pub enum Existing {
 pub struct NewDataset {
     /// The dataset's name.
     pub name: String,
+    /// The group that it is to be a part of.
+    pub group: Option<String>,
     /// What its texels are.
     pub kind: Kind,
     /// Higher covers lower.
@@ -49,137 +50,251 @@ pub struct NewDataset {
     pub content: u64,
     /// What it was made from.
     pub source: Source,
-    /// What becomes of a dataset of this name that has another content.
+    /// What becomes of a dataset or group that the user calls the same, if it has another content.
     pub existing: Existing,
 }
 
-/// Makes a finished build a dataset of its catalog, replacing one of its name if it may, and
-/// returns the generation that has it.
+/// Where a whole archive waits for its dataset.
+#[derive(Debug)]
+pub enum Finished<'a> {
+    /// Where it was built.
+    Build(Build<'a>),
+    /// In its place among the archives: a [`stray`](super::stray), or what a dataset has already.
+    InPlace,
+}
+
+/// Makes a finished build a dataset of its catalog, as [`publish_archives`] does.
 ///
 /// # Errors
 ///
-/// [`CatalogError`]; the catalog then is as it was, or has the dataset if what failed came after
-/// the link: making it durable, or sweeping. A build that was refused is discarded; one that the
-/// file system had no room for is left to go on with.
+/// Those of [`publish_archives`].
+///
+/// # Panics
+///
+/// Where [`publish_archives`] does.
 pub fn publish_build(build: Build<'_>, dataset: NewDataset) -> Result<u64, CatalogError> {
-    build.sync()?;
-    let (disk, folder, path) = (build.disk, build.folder.as_path(), build.path());
-    let archives = folder.join(ARCHIVES);
-    let target = archives.join(dataset.file());
+    publish_builds(vec![(build, dataset)])
+}
 
-    let in_place = Cell::new(false);
-    let step = |newest| dataset.put_in(newest, &path, || build.source());
-    // Once the manifest is written only names change, which takes no room. What stands beside the
-    // archive goes while the name of the build is still ours.
+/// Makes finished builds the parts of a group, as [`publish_archives`] does.
+///
+/// # Errors
+///
+/// Those of [`publish_archives`].
+///
+/// # Panics
+///
+/// Where [`publish_archives`] does.
+pub fn publish_builds(builds: Vec<(Build<'_>, NewDataset)>) -> Result<u64, CatalogError> {
+    let (first, _) = builds.first().expect("something to publish");
+    let (disk, folder) = (first.disk, first.folder.clone());
+    let finished = builds.into_iter().map(|(build, dataset)| (Finished::Build(build), dataset));
+    publish_archives(disk, &folder, finished.collect())
+}
+
+/// Makes a [`stray`](super::stray) a dataset of its catalog, as [`publish_archives`] does.
+///
+/// # Errors
+///
+/// Those of [`publish_archives`].
+///
+/// # Panics
+///
+/// Where [`publish_archives`] does.
+pub fn publish_stray(
+    disk: &dyn Disk,
+    folder: &Path,
+    dataset: NewDataset,
+) -> Result<u64, CatalogError> {
+    publish_archives(disk, folder, vec![(Finished::InPlace, dataset)])
+}
+
+/// Makes whole archives what the user calls by one name, in one step: a dataset, or all parts of a
+/// group. They take the place of what had the name before, dataset or group, if they may. Returns
+/// the generation that has them.
+///
+/// # Errors
+///
+/// [`CatalogError`]; the catalog then is as it was, or has the datasets if what failed came after
+/// the link: making it durable, or sweeping. Builds that were refused are discarded. Those that the
+/// file system had no room for are left to go on with, and so are those beside an archive in its
+/// place that another change has swept meanwhile: [`CatalogError::Missing`].
+///
+/// # Panics
+///
+/// If there are none, if the user would not call all of them the same, or if the name of a part is
+/// not its group's, a dot, and more.
+pub fn publish_archives(
+    disk: &dyn Disk,
+    folder: &Path,
+    archives: Vec<(Finished<'_>, NewDataset)>,
+) -> Result<u64, CatalogError> {
+    check_names(&archives);
+    let place = folder.join(ARCHIVES);
+    let builds = || {
+        archives.iter().filter_map(|(finished, dataset)| match finished {
+            Finished::Build(build) => Some((build, place.join(dataset.file()))),
+            Finished::InPlace => None,
+        })
+    };
+    for (build, _) in builds() {
+        build.sync()?;
+    }
+
+    let moved = Cell::new(0);
+    let step = |newest| with_archives(newest, &place, &archives);
+    // Once the manifest is written only names change, which takes no room. What stands beside an
+    // archive goes while the name of its build is still ours. A second try after a lost race finds
+    // the files in place; and whoever put a stray there may have been killed before its name was on
+    // the medium.
     let ready = || {
-        // A second try after a lost race finds the file in place.
-        if in_place.get() {
-            return Ok(());
+        for (build, target) in builds().skip(moved.get()) {
+            build.tidy();
+            let path = build.path();
+            let renamed = disk.rename(&path, &target);
+            renamed.map_err(|source| CatalogError::io("rename", &path, source))?;
+            moved.set(moved.get() + 1);
         }
-        build.tidy();
-        disk.rename(&path, &target).map_err(|source| CatalogError::io("rename", &path, source))?;
-        in_place.set(true);
-        disk.sync_folder(&archives).map_err(|source| CatalogError::io("sync", &archives, source))
+        disk.sync_folder(&place).map_err(|source| CatalogError::io("sync", &place, source))
     };
     let published = change(disk, folder, step, ready);
-    let refused = !matches!(published, Ok(_) | Err(CatalogError::Io { .. }));
-    if refused && !in_place.get() {
-        // If it cannot be removed, the next build of this name discards it; the first error says
-        // more.
-        let _ = build.discard();
+    let is_refused =
+        !matches!(published, Ok(_) | Err(CatalogError::Io { .. } | CatalogError::Missing { .. }));
+    if is_refused {
+        let builds = archives.into_iter().filter_map(|(finished, _)| match finished {
+            Finished::Build(build) => Some(build),
+            Finished::InPlace => None,
+        });
+        for build in builds.skip(moved.get()) {
+            // If it cannot be removed, the next build of this name discards it; the first error
+            // says more.
+            let _ = build.discard();
+        }
     }
     published
 }
 
-/// Makes a [`stray`](super::stray) a dataset of its catalog, as [`publish_build`] does a build.
-///
-/// # Errors
-///
-/// [`CatalogError::Missing`] if another change has swept it meanwhile; else as for a build.
-pub fn publish_stray(
-    disk: &dyn Disk,
-    folder: &Path,
-    dataset: &NewDataset,
-) -> Result<u64, CatalogError> {
-    let archives = folder.join(ARCHIVES);
-    let path = archives.join(dataset.file());
-    let source = || match File::open(&path).and_then(FileSource::new) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            Err(CatalogError::Missing { path: path.clone() })
+/// Panics unless the datasets are what the user calls by one name.
+fn check_names(archives: &[(Finished<'_>, NewDataset)]) {
+    let (_, first) = archives.first().expect("something to publish");
+    for (_, dataset) in archives {
+        let (name, group) = (&dataset.name, dataset.group.as_ref());
+        assert!(group.is_none_or(|group| is_part(name, group)), "{name} in {group:?}");
+        assert_eq!(dataset.called(), first.called(), "one change is to one name");
+    }
+}
+
+/// The manifest that has the datasets, in place of what the user calls the same; those of their
+/// archives that are in it lie in the folder `place`.
+fn with_archives(
+    newest: Option<Manifest>,
+    place: &Path,
+    archives: &[(Finished<'_>, NewDataset)],
+) -> Result<Manifest, CatalogError> {
+    let datasets = || archives.iter().map(|(_, dataset)| dataset);
+    let (_, first) = archives.first().expect("something to publish");
+    let mut manifest = newest.unwrap_or_else(|| Manifest::empty(first.body.clone()));
+    if manifest.datasets.is_empty() {
+        manifest.body = first.body.clone();
+    }
+    for dataset in datasets() {
+        if !manifest.body.same_as(&dataset.body) {
+            return Err(CatalogError::OtherBody {
+                catalog: manifest.body.name,
+                raster: dataset.body.name.clone(),
+            });
         }
-        opened => opened.map_err(|source| CatalogError::io("open", &path, source)),
-    };
-    let step = |newest| dataset.put_in(newest, &path, source);
-    // Whoever put it in its place may have been killed before its name was on the medium.
-    let ready = || {
-        disk.sync_folder(&archives).map_err(|source| CatalogError::io("sync", &archives, source))
-    };
-    change(disk, folder, step, ready)
+        manifest.check_free(&dataset.name, dataset.group.as_deref())?;
+    }
+    // Whoever began these builds may have looked before others were published.
+    let before: BTreeSet<_> =
+        manifest.parts(first.called()).map(|record| record.file.clone()).collect();
+    let after: BTreeSet<_> = datasets().map(NewDataset::file).collect();
+    let may_replace = datasets().all(|dataset| dataset.existing == Existing::Replace);
+    if !may_replace && !before.is_empty() && before != after {
+        return Err(CatalogError::Exists { name: first.called().to_owned() });
+    }
+
+    // What goes, goes first: a dataset that is replaced keeps its number, and no new one takes it.
+    manifest.retain(|record| {
+        record.called() != first.called() || datasets().any(|dataset| dataset.name == record.name)
+    });
+    for (finished, dataset) in archives {
+        let path = place.join(dataset.file());
+        let (path, source) = match finished {
+            Finished::Build(build) => (build.path(), build.source()?),
+            Finished::InPlace => (path.clone(), in_place(&path)?),
+        };
+        let bounds = bounds_of(source, &path, &manifest.body)?;
+        let before = manifest.datasets.iter().find(|record| record.name == dataset.name);
+        let item = before.map_or_else(|| manifest.free_item(), |record| record.item);
+        manifest.put_in(dataset.record(item), bounds);
+    }
+    Ok(manifest)
+}
+
+/// An archive among the others, unless it is gone.
+fn in_place(path: &Path) -> Result<FileSource, CatalogError> {
+    match File::open(path).and_then(FileSource::new) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            Err(CatalogError::Missing { path: path.to_owned() })
+        }
+        opened => opened.map_err(|source| CatalogError::io("open", path, source)),
+    }
 }
 
 impl NewDataset {
+    /// What the user is to call it.
+    fn called(&self) -> &str {
+        self.group.as_ref().unwrap_or(&self.name)
+    }
+
     /// The name of its archive.
     fn file(&self) -> String {
         DatasetRecord::file_of(&self.name, &format!("{:016x}", self.content))
     }
 
-    /// The manifest that has it, in place of one of its name; its archive is `source`, at `path`.
-    fn put_in(
-        &self,
-        newest: Option<Manifest>,
-        path: &Path,
-        source: impl Fn() -> Result<FileSource, CatalogError>,
-    ) -> Result<Manifest, CatalogError> {
-        let mut manifest = newest.unwrap_or_else(|| Manifest::empty(self.body.clone()));
-        if manifest.datasets.is_empty() {
-            manifest.body = self.body.clone();
-        }
-        if !manifest.body.same_as(&self.body) {
-            return Err(CatalogError::OtherBody {
-                catalog: manifest.body.name,
-                raster: self.body.name.clone(),
-            });
-        }
-        let file = self.file();
-        let before = manifest.datasets.iter().find(|record| record.name == self.name);
-        // Whoever began this build may have looked before another was published.
-        if self.existing == Existing::Keep && before.is_some_and(|record| record.file != file) {
-            return Err(CatalogError::Exists { name: self.name.clone() });
-        }
-        let bounds = bounds_of(source()?, path, &manifest.body)?;
-        let item = before.map_or_else(|| manifest.free_item(), |record| record.item);
-        let record = DatasetRecord {
+    fn record(&self, item: u32) -> DatasetRecord {
+        DatasetRecord {
             name: self.name.clone(),
+            group: self.group.clone(),
             item,
-            file,
+            file: self.file(),
             kind: self.kind,
             priority: self.priority,
             bytes: self.bytes,
             content: format!("{:016x}", self.content),
             source: self.source.clone(),
-        };
-        manifest.put_in(record, bounds);
-        Ok(manifest)
+        }
     }
 }
 
-/// Removes the dataset called `name` and returns the generation without it.
+/// Removes the dataset called `name`, or all parts of the group, and returns the generation without
+/// them.
 ///
 /// # Errors
 ///
-/// [`CatalogError::NotACatalog`], [`CatalogError::NoSuchDataset`], or [`CatalogError::Io`].
+/// [`CatalogError::NotACatalog`], [`CatalogError::NoSuchDataset`], [`CatalogError::Part`], or
+/// [`CatalogError::Io`].
 pub fn remove_dataset(disk: &dyn Disk, folder: &Path, name: &str) -> Result<u64, CatalogError> {
-    // Asked first without the lock, whose file would make a catalog of any folder.
-    super::Catalog::open(folder)?.dataset(name)?;
     let step = |newest: Option<Manifest>| {
         let mut manifest =
             newest.ok_or_else(|| CatalogError::NotACatalog { folder: folder.to_owned() })?;
-        if manifest.take_out(name).is_none() {
-            let folder = folder.to_owned();
-            return Err(CatalogError::NoSuchDataset { name: name.to_owned(), folder });
+        let found = manifest.datasets.iter().find(|record| record.answers_to(name));
+        match found.map(|record| &record.group) {
+            None => {
+                let folder = folder.to_owned();
+                return Err(CatalogError::NoSuchDataset { name: name.to_owned(), folder });
+            }
+            Some(Some(group)) if group != name => {
+                return Err(CatalogError::Part { name: name.to_owned(), group: group.clone() });
+            }
+            Some(_) => manifest.retain(|record| record.called() != name),
         }
         Ok(manifest)
     };
+    // Asked first without the lock, whose file would make a catalog of any folder.
+    step(manifest::newest(folder)?)?;
     change(disk, folder, step, || Ok(()))
 }
 
@@ -209,89 +324,4 @@ fn bounds_of(source: FileSource, path: &Path, body: &Body) -> Result<Aabb, Catal
         whole = Aabb::new(-corner, corner);
     }
     Ok(whole)
-}
-
-/// Publishes the generation that `step` makes of the newest one. `ready` is called when its manifest
-/// is written and only lacks its name.
-fn change(
-    disk: &dyn Disk,
-    folder: &Path,
-    step: impl Fn(Option<Manifest>) -> Result<Manifest, CatalogError>,
-    ready: impl Fn() -> Result<(), CatalogError>,
-) -> Result<u64, CatalogError> {
-    let lock_path = folder.join(LOCK);
-    let lock = disk
-        .open_or_create(&lock_path)
-        .and_then(|lock| lock.lock().map(|()| lock))
-        .map_err(|source| CatalogError::io("lock", &lock_path, source))?;
-    loop {
-        let newest = manifest::newest(folder)?;
-        let before = newest.as_ref().map_or(0, |manifest| manifest.generation);
-        let generation = before.checked_add(1).ok_or_else(|| {
-            let path = folder.join(manifest::file_name(before));
-            CatalogError::Manifest { path, reason: "no generation can follow it".to_owned() }
-        })?;
-        let manifest = Manifest { generation, ..step(newest)? };
-        if link_manifest(disk, folder, &manifest, &ready)? {
-            sweep(disk, folder, &manifest)?;
-            drop(lock);
-            return Ok(generation);
-        }
-    }
-}
-
-/// Writes `manifest` and links it to its name; false if another writer has taken it.
-fn link_manifest(
-    disk: &dyn Disk,
-    folder: &Path,
-    manifest: &Manifest,
-    ready: impl Fn() -> Result<(), CatalogError>,
-) -> Result<bool, CatalogError> {
-    let temporary = folder.join(format!("{TEMPORARY}{}", std::process::id()));
-    let target = folder.join(manifest::file_name(manifest.generation));
-    let write = || {
-        let mut file = disk.open_or_create(&temporary)?;
-        disk.truncate(&mut file, 0)?;
-        disk.append(&mut file, &manifest.to_bytes())?;
-        disk.sync_file(&file)
-    };
-    let written = write().map_err(|source| CatalogError::io("write", &temporary, source));
-    if let Err(error) = written.and_then(|()| ready()) {
-        // If it stays, the next change sweeps it.
-        let _ = disk.remove(&temporary);
-        return Err(error);
-    }
-    let linked = match disk.link(&temporary, &target) {
-        Ok(()) => true,
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => false,
-        Err(source) => return Err(CatalogError::io("link", &target, source)),
-    };
-    disk.remove(&temporary).map_err(|source| CatalogError::io("remove", &temporary, source))?;
-    disk.sync_folder(folder).map_err(|source| CatalogError::io("sync", folder, source))?;
-    Ok(linked)
-}
-
-/// Removes older manifests, temporary ones of killed writers, and archives that `manifest` does
-/// not name. All of that is nobody's while the catalog's lock is held.
-fn sweep(disk: &dyn Disk, folder: &Path, manifest: &Manifest) -> Result<(), CatalogError> {
-    for generation in manifest::generations(folder)? {
-        if generation < manifest.generation {
-            remove(disk, &folder.join(manifest::file_name(generation)))?;
-        }
-    }
-    for name in names_in(folder)?.filter(|name| name.starts_with(TEMPORARY)) {
-        remove(disk, &folder.join(name))?;
-    }
-    let archives = folder.join(ARCHIVES);
-    let named = |name: &String| manifest.datasets.iter().any(|record| record.file == *name);
-    for name in names_in(&archives)?.filter(|name| !named(name)) {
-        remove(disk, &archives.join(name))?;
-    }
-    Ok(())
-}
-
-fn names_in(folder: &Path) -> Result<impl Iterator<Item = String>, CatalogError> {
-    let listing =
-        fs::read_dir(folder).map_err(|source| CatalogError::io("list", folder, source))?;
-    Ok(listing.filter_map(|entry| entry.ok()?.file_name().into_string().ok()))
 }

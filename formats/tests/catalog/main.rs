@@ -6,6 +6,7 @@
 //!   killed     writers that die at every step, or find no room
 //!   refused    changes and names that are refused, and leave everything
 //!   forged     files that a catalog did not write
+//!   groups     datasets that come and go as one
 //!   meeting    writers and readers at once
 //! ```
 
@@ -13,6 +14,7 @@
 
 mod dying;
 mod forged;
+mod groups;
 mod killed;
 mod meeting;
 mod refused;

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use areoid_formats::catalog::{Catalog, RealDisk, remove_dataset};
 
-use crate::rig::{check_swept, height_of, publish, shown};
+use crate::rig::{check_swept, height_of, publish, publish_group, shown};
 
 /// Publishes, replaces and removes datasets of its own, and keeps the last.
 fn bustle(folder: &Path, who: &str, rounds: u16) {
@@ -68,5 +68,43 @@ fn writers_that_meet_lose_nothing_and_readers_never_err() {
     let expected = [("child-kept", last), ("first", 1.0), ("one-kept", last), ("two-kept", last)];
     assert_eq!(shown(&folder), expected.map(|(name, height)| (name.to_owned(), height)).into());
     assert_eq!(Catalog::open(&folder).unwrap().generation(), 1 + 3 * 3 * u64::from(ROUNDS));
+    check_swept(&folder);
+}
+
+/// Three parts of one round, a dataset, or nothing: never parts of two rounds, or some of them.
+#[test]
+fn readers_see_a_group_whole_or_not_at_all() {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("mars");
+    publish(&RealDisk, &folder, "first", 1).unwrap();
+    std::thread::scope(|scope| {
+        let writer = scope.spawn(|| {
+            for round in 0..ROUNDS {
+                let parts = ["band", "north", "south"].map(|part| (part, round));
+                publish_group(&RealDisk, &folder, "split", &parts).unwrap();
+                match round % 3 {
+                    0 => publish(&RealDisk, &folder, "split", round).map(drop).unwrap(),
+                    1 => remove_dataset(&RealDisk, &folder, "split").map(drop).unwrap(),
+                    _ => {}
+                }
+            }
+        });
+        let mut sizes_seen = [0; 4];
+        let mut done = false;
+        while !done {
+            done = writer.is_finished();
+            let (catalog, archives) = Catalog::open_with_archives(&folder).unwrap();
+            let records = catalog.datasets().iter().zip(&archives);
+            let parts = records.filter(|(record, _)| record.answers_to("split"));
+            let parts: Vec<_> =
+                parts.map(|(record, archive)| (&record.group, height_of(archive))).collect();
+            let is_one = parts.windows(2).all(|pair| pair[0] == pair[1]);
+            assert!(is_one && parts.len() != 2, "{parts:?}");
+            assert_eq!(parts.len() == 3, parts.iter().any(|(group, _)| group.is_some()));
+            sizes_seen[parts.len()] += 1;
+        }
+        writer.join().unwrap();
+        assert!(sizes_seen[3] > 0, "{sizes_seen:?}");
+    });
     check_swept(&folder);
 }

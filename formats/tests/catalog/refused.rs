@@ -55,6 +55,7 @@ fn a_refused_change_leaves_everything() {
     let build = Build::start(&RealDisk, &folder, "moon").unwrap();
     let dataset = NewDataset {
         name: "moon".to_owned(),
+        group: None,
         kind: Kind::Height,
         priority: 0,
         body: Body::parse("moon").unwrap(),

@@ -11,6 +11,7 @@ use areoid_formats::archive::{
 use areoid_formats::body::Body;
 use areoid_formats::catalog::{
     Build, Catalog, CatalogError, Disk, Existing, NewDataset, RealDisk, publish_build,
+    publish_builds,
 };
 use areoid_formats::codec::{self, Quantum};
 use areoid_formats::grid::{Grid, Outline};
@@ -34,13 +35,45 @@ pub(crate) fn publish_over(
     name: &str,
     height: u16,
 ) -> Result<u64, CatalogError> {
+    let (build, dataset) = build(disk, folder, name, height)?;
+    publish_build(build, NewDataset { existing, ..dataset })
+}
+
+/// The parts of a group and their heights.
+pub(crate) type Parts<'a> = &'a [(&'a str, u16)];
+
+/// A group of such datasets.
+pub(crate) fn publish_group(
+    disk: &dyn Disk,
+    folder: &Path,
+    group: &str,
+    parts: Parts<'_>,
+) -> Result<u64, CatalogError> {
+    publish_builds(built(disk, folder, group, parts)?)
+}
+
+/// The parts of a group, built.
+pub(crate) fn built<'a>(
+    disk: &'a dyn Disk,
+    folder: &Path,
+    group: &str,
+    parts: Parts<'_>,
+) -> Result<Vec<(Build<'a>, NewDataset)>, CatalogError> {
+    let parts = parts.iter().map(|(part, height)| {
+        let (build, dataset) = build(disk, folder, &format!("{group}.{part}"), *height)?;
+        Ok((build, NewDataset { group: Some(group.to_owned()), ..dataset }))
+    });
+    parts.collect()
+}
+
+pub(crate) fn description(name: &str) -> Description {
     let body = Body::parse("mars").unwrap();
     let crs = Crs::new(Projection::Geographic, body.ellipsoid);
     let outline = Outline { origin: [0.0, 10.0], pixel_size: [1.0; 2], width: 12, height: 5 };
-    let description = Description {
+    Description {
         dataset: name.to_owned(),
         kind: Kind::Height,
-        body: body.clone(),
+        body,
         grid: Grid::from_outline(crs, outline, 10).unwrap().grid,
         quantum: Quantum::NONE,
         priority: 0,
@@ -48,7 +81,15 @@ pub(crate) fn publish_over(
         unit_pages: 8,
         resampling: None,
         source: Source::default(),
-    };
+    }
+}
+
+pub(crate) fn build<'a>(
+    disk: &'a dyn Disk,
+    folder: &Path,
+    name: &str,
+    height: u16,
+) -> Result<(Build<'a>, NewDataset), CatalogError> {
     let height = f32::from(height);
     let entry = PageEntry {
         page: PageAddress::new(Level(1), 0, 0),
@@ -69,27 +110,28 @@ pub(crate) fn publish_over(
 
     let build = Build::start(disk, folder, name)?;
     let written = |source| CatalogError::io("write", folder, source);
+    let description = description(name);
     let mut writer = ArchiveWriter::new(build, &description).map_err(written)?;
     writer.page(entry, &[]).map_err(written)?;
     writer.page(beside, &payload).map_err(written)?;
     writer.end_unit().map_err(written)?;
     let (build, written) = writer.finish().map_err(written)?;
-    publish_build(
-        build,
-        NewDataset {
-            name: name.to_owned(),
-            kind: Kind::Height,
-            priority: 0,
-            body,
-            bytes: written.bytes,
-            content: written.content,
-            source: Source::default(),
-            existing,
-        },
-    )
+    let dataset = NewDataset {
+        name: name.to_owned(),
+        group: None,
+        kind: Kind::Height,
+        priority: 0,
+        body: description.body,
+        bytes: written.bytes,
+        content: written.content,
+        source: Source::default(),
+        existing: Existing::Replace,
+    };
+    Ok((build, dataset))
 }
 
-/// What a catalog shows: the height of each dataset. Every archive must be whole.
+/// What a catalog shows: the height of each dataset, a part behind its group's name and a colon.
+/// Every archive must be whole.
 pub(crate) type Shown = BTreeMap<String, f32>;
 
 pub(crate) fn height_of(archive: &Archive) -> f32 {
@@ -109,7 +151,8 @@ pub(crate) fn shown(folder: &Path) -> Shown {
             assert_eq!(archive.damage().unwrap(), Vec::<String>::new(), "{}", record.name);
             assert_eq!(archive.description().dataset, record.name);
             assert_eq!(archive.len(), record.bytes);
-            (record.name.clone(), height_of(archive))
+            let group = record.group.as_ref().map(|group| format!("{group}: "));
+            (group.unwrap_or_default() + &record.name, height_of(archive))
         })
         .collect()
 }
@@ -138,5 +181,32 @@ pub(crate) fn two_datasets() -> (tempfile::TempDir, PathBuf) {
     let folder = home.path().join("mars");
     publish(&RealDisk, &folder, "old", 1).unwrap();
     publish(&RealDisk, &folder, "older", 2).unwrap();
+    (home, folder)
+}
+
+/// The parts of the group of [`with_group`].
+pub(crate) const SPLIT: Parts<'static> = &[("band", 4), ("north", 5), ("south", 6)];
+
+/// Two datasets and the group `split`.
+pub(crate) fn with_group() -> (tempfile::TempDir, PathBuf) {
+    let (home, folder) = two_datasets();
+    publish_group(&RealDisk, &folder, "split", SPLIT).unwrap();
+    (home, folder)
+}
+
+/// A copy of a catalog in which nothing is being built.
+pub(crate) fn copied(catalog: &Path) -> (tempfile::TempDir, PathBuf) {
+    let home = tempfile::tempdir().unwrap();
+    let folder = home.path().join("mars");
+    fs::create_dir_all(folder.join("build")).unwrap();
+    fs::create_dir_all(folder.join("archives")).unwrap();
+    for within in ["", "archives"] {
+        for name in names_in(&catalog.join(within)) {
+            let file = Path::new(within).join(name);
+            if catalog.join(&file).is_file() {
+                fs::copy(catalog.join(&file), folder.join(&file)).unwrap();
+            }
+        }
+    }
     (home, folder)
 }

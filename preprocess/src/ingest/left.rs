@@ -31,7 +31,7 @@ pub(super) fn publish_left(
     Build::start(disk, folder, name)?.discard()?;
     watch(Event::Publishing);
     let dataset = new_dataset(description, archive.len(), content, request.existing);
-    match publish_stray(disk, folder, &dataset) {
+    match publish_stray(disk, folder, dataset) {
         Ok(generation) => Ok(Some((generation, archive))),
         Err(CatalogError::Missing { .. }) => Ok(None),
         Err(error) => Err(kept(error.into())),
@@ -47,6 +47,7 @@ pub(super) fn new_dataset(
 ) -> NewDataset {
     NewDataset {
         name: description.dataset.clone(),
+        group: None,
         kind: description.kind,
         priority: description.priority,
         body: description.body.clone(),

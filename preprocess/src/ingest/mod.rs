@@ -164,7 +164,17 @@ fn existing(
     description: &Description,
     policy: Existing,
 ) -> Result<Option<(Summary, u64)>, IngestError> {
-    let Ok(record) = catalog.dataset(&description.dataset) else { return Ok(None) };
+    let name = &description.dataset;
+    catalog.check_free(name, None)?;
+    let other = || match policy {
+        Existing::Replace => Ok(None),
+        Existing::Keep => Err(CatalogError::Exists { name: name.clone() }.into()),
+    };
+    let record = match catalog.dataset(name) {
+        Ok(record) => record,
+        Err(CatalogError::Group { .. }) => return other(),
+        Err(_) => return Ok(None),
+    };
     let archive = match (catalog.archive(record), policy) {
         (Ok(archive), _) => archive,
         // What cannot be read can be replaced.
@@ -176,8 +186,5 @@ fn existing(
     {
         return Ok(Some((summary.clone(), archive.len())));
     }
-    match policy {
-        Existing::Replace => Ok(None),
-        Existing::Keep => Err(CatalogError::Exists { name: description.dataset.clone() }.into()),
-    }
+    other()
 }
