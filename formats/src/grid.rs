@@ -9,10 +9,12 @@
 
 use serde::{Deserialize, Serialize};
 
+pub use crate::placement::{GridError, Outline, Placement};
+
 use crate::address::{Level, PageAddress};
 use crate::geodesy::Geographic;
 use crate::projection::{Crs, MapPoint, Pole};
-use crate::pyramid::{Extent, PoleContact, Pyramid, PyramidError};
+use crate::pyramid::{Extent, Pyramid};
 use crate::units::{Meters, Radians};
 
 /// A place in the texels of one level.
@@ -35,19 +37,6 @@ pub struct WindowPoint {
     pub y: f64,
 }
 
-/// A rectangle of pixels on a map, as a raster's georeferencing gives it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Outline {
-    /// Map coordinates of the outer corner of the first pixel, top left.
-    pub origin: [f64; 2],
-    /// Map units to a pixel, both positive: x grows with the column, y falls with the row.
-    pub pixel_size: [f64; 2],
-    /// Pixels in a row.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-}
-
 /// A projection, an origin, a finest pixel size, and the levels above it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "GridParts", into = "GridParts")]
@@ -68,44 +57,6 @@ struct GridParts {
     page_side: u32,
 }
 
-/// Why an outline makes no grid.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum GridError {
-    /// Its size has no pyramid.
-    #[error(transparent)]
-    Pyramid(#[from] PyramidError),
-    /// A pixel size that is not a positive number.
-    #[error("a pixel of {0} x {1} map units is not supported: both must be positive numbers")]
-    PixelSize(f64, f64),
-    /// An origin that is not a number.
-    #[error("an origin at {0}, {1} is not a place on a map")]
-    Origin(f64, f64),
-    /// Rows past a pole.
-    #[error(
-        "the rows reach {rows} rows past the {pole} pole: half a row is the most that makes sense"
-    )]
-    PastPole {
-        /// Which pole.
-        pole: &'static str,
-        /// Rows past it.
-        rows: f64,
-    },
-    /// More than one turn around the body.
-    #[error("{turns} turns around the body in one row: one is the most")]
-    ManyTurns {
-        /// Turns.
-        turns: f64,
-    },
-    /// An outline that lies outside what its projection can show.
-    #[error("the outline leaves the domain of its projection")]
-    OutsideProjection,
-}
-
-/// Outlines miss poles and full turns by so many pixels because their numbers were rounded when
-/// they were written down.
-const ROUNDING_PX: f64 = 0.05;
-
 /// What [`Grid::from_outline`] made of a raster.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NativeGrid {
@@ -116,93 +67,46 @@ pub struct NativeGrid {
 }
 
 impl Grid {
-    /// The grid on which the leaves of a raster are its own pixels.
+    /// A grid whose finest level has `extent`.
     ///
-    /// It recognizes rows that close around the body, a last column that repeats the first, and
-    /// edges or posts on the poles. Numbers rounded when they were written down (within
-    /// a twentieth of a pixel of a full turn or of both poles) are made exact.
+    /// # Units
+    ///
+    /// Map units: the outer corner of the first texel, top left, and the size of a texel.
+    ///
+    /// # Errors
+    ///
+    /// A [`GridError`] if the numbers are no place or size, or the extent has no pyramid.
+    pub fn new(
+        crs: Crs,
+        origin: [f64; 2],
+        pixel_size: [f64; 2],
+        extent: Extent,
+        page_side: u32,
+    ) -> Result<Self, GridError> {
+        if !pixel_size.iter().all(|&size| size > 0.0 && size.is_finite()) {
+            return Err(GridError::PixelSize(pixel_size[0], pixel_size[1]));
+        }
+        if !origin.iter().all(|edge| edge.is_finite()) {
+            return Err(GridError::Origin(origin[0], origin[1]));
+        }
+        let pyramid = Pyramid::new(extent, page_side)?;
+        Ok(Self { crs, origin, pixel_size, pyramid })
+    }
+
+    /// The grid on which the leaves of a raster are its own pixels: its [`Placement`], where that
+    /// has a pyramid.
     ///
     /// # Errors
     ///
     /// Any [`GridError`].
-    ///
-    /// # Panics
-    ///
-    /// Never: a map that meets a pole draws it.
     pub fn from_outline(
         crs: Crs,
         outline: Outline,
         page_side: u32,
     ) -> Result<NativeGrid, GridError> {
-        let Outline { origin, pixel_size, mut width, height } = outline;
-        let ([mut left, mut top], [mut pixel_x, mut pixel_y]) = (origin, pixel_size);
-        if !(pixel_x > 0.0 && pixel_y > 0.0 && pixel_x.is_finite() && pixel_y.is_finite()) {
-            return Err(GridError::PixelSize(pixel_x, pixel_y));
-        }
-        if !(left.is_finite() && top.is_finite()) {
-            return Err(GridError::Origin(left, top));
-        }
-
-        let mut dropped_columns = 0;
-        let mut wraps = false;
-        if let Some(period) = crs.wraps_with_period() {
-            let spare = f64::from(width) - period / pixel_x;
-            if spare.abs() <= ROUNDING_PX {
-                wraps = true;
-            } else if (spare - 1.0).abs() <= ROUNDING_PX && width > 1 {
-                wraps = true;
-                dropped_columns = 1;
-                width -= 1;
-            } else if spare > 0.0 {
-                let turns = f64::from(width) * pixel_x / period;
-                return Err(GridError::ManyTurns { turns });
-            }
-            if wraps {
-                // Texel centers stay put in the middle of the row.
-                let exact = period / f64::from(width);
-                left += f64::from(width) * (pixel_x - exact) / 2.0;
-                pixel_x = exact;
-            }
-        }
-
-        let past = |pole: Pole, edge: f64, outward: f64| {
-            let rows = crs.y_of_pole(pole).map(|y| outward * (edge - y) / pixel_y);
-            match rows {
-                None => Ok(PoleContact::None),
-                Some(rows) if rows < -ROUNDING_PX => Ok(PoleContact::None),
-                Some(rows) if rows.abs() <= ROUNDING_PX => Ok(PoleContact::Outline),
-                Some(rows) if (rows - 0.5).abs() <= ROUNDING_PX => Ok(PoleContact::Posts),
-                Some(rows) if rows < 0.5 => Ok(PoleContact::None),
-                Some(rows) => Err(GridError::PastPole { pole: pole_name(pole), rows }),
-            }
-        };
-        let bottom = top - f64::from(height) * pixel_y;
-        let (mut north, mut south) =
-            (past(Pole::North, top, 1.0)?, past(Pole::South, bottom, -1.0)?);
-        if north == south && north != PoleContact::None {
-            let rows_between = match north {
-                PoleContact::Posts => f64::from(height) - 1.0,
-                _ => f64::from(height),
-            };
-            let y_of = |pole| crs.y_of_pole(pole).expect("a map with pole contact draws the pole");
-            if rows_between > 0.0 {
-                pixel_y = (y_of(Pole::North) - y_of(Pole::South)) / rows_between;
-                let half_row = if north == PoleContact::Posts { pixel_y / 2.0 } else { 0.0 };
-                top = y_of(Pole::North) + half_row;
-            }
-        }
-        if !wraps {
-            (north, south) = (PoleContact::None, PoleContact::None);
-        }
-
-        let extent = Extent { width, height, wraps, north, south };
-        let grid = Self::try_from(GridParts {
-            crs,
-            origin: [left, top],
-            pixel_size: [pixel_x, pixel_y],
-            extent,
-            page_side,
-        })?;
+        let placement = Placement::from_outline(crs, outline)?;
+        let Placement { origin, pixel_size, dropped_columns, .. } = placement;
+        let grid = Self::new(crs, origin, pixel_size, placement.extent(), page_side)?;
         Ok(NativeGrid { grid, dropped_columns })
     }
 
@@ -353,26 +257,12 @@ impl Grid {
     }
 }
 
-fn pole_name(pole: Pole) -> &'static str {
-    match pole {
-        Pole::North => "north",
-        Pole::South => "south",
-    }
-}
-
 impl TryFrom<GridParts> for Grid {
     type Error = GridError;
 
     fn try_from(parts: GridParts) -> Result<Self, GridError> {
         let GridParts { crs, origin, pixel_size, extent, page_side } = parts;
-        if !pixel_size.iter().all(|&size| size > 0.0 && size.is_finite()) {
-            return Err(GridError::PixelSize(pixel_size[0], pixel_size[1]));
-        }
-        if !origin.iter().all(|edge| edge.is_finite()) {
-            return Err(GridError::Origin(origin[0], origin[1]));
-        }
-        let pyramid = Pyramid::new(extent, page_side)?;
-        Ok(Self { crs, origin, pixel_size, pyramid })
+        Self::new(crs, origin, pixel_size, extent, page_side)
     }
 }
 
@@ -393,6 +283,7 @@ mod tests {
     use super::*;
     use crate::body::Body;
     use crate::projection::Projection;
+    use crate::pyramid::PoleContact;
     use crate::units::Degrees;
 
     fn mars_degrees() -> Crs {

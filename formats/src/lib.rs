@@ -16,6 +16,8 @@ pub mod address;
 
 pub mod pyramid;
 
+pub mod placement;
+
 pub mod grid;
 
 pub mod codec;
