@@ -13,6 +13,7 @@ pub use crate::placement::{GridError, Outline, Placement};
 
 use crate::address::{Level, PageAddress};
 use crate::geodesy::Geographic;
+use crate::placement::nominal_pixel;
 use crate::projection::{Crs, MapPoint, Pole};
 use crate::pyramid::{Extent, Pyramid};
 use crate::units::{Meters, Radians};
@@ -222,11 +223,7 @@ impl Grid {
     /// which compositions sort datasets.
     #[must_use]
     pub fn nominal_pixel(&self) -> Meters {
-        let per_unit = match self.crs.wraps_with_period() {
-            Some(period) => std::f64::consts::TAU * self.crs.ellipsoid.a().0 / period,
-            None => 1.0,
-        };
-        Meters(self.pixel_size[1].min(self.pixel_size[0]) * per_unit)
+        nominal_pixel(&self.crs, self.pixel_size)
     }
 
     /// The weight of this grid in a composition at a position: how finely and how evenly it

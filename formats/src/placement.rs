@@ -9,6 +9,7 @@
 
 use crate::projection::{Crs, MapPoint, Pole};
 use crate::pyramid::{Extent, PoleContact, PyramidError};
+use crate::units::Meters;
 
 /// A rectangle of pixels on a map, as a raster's georeferencing gives it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -190,6 +191,12 @@ impl Placement {
         Some(self.crs.wraps_with_period()? / self.pixel_size[0])
     }
 
+    /// Ground meters to a pixel where the map is truest.
+    #[must_use]
+    pub fn nominal_pixel(&self) -> Meters {
+        nominal_pixel(&self.crs, self.pixel_size)
+    }
+
     /// The place on the map of column `u` and row `v`, pixel centers at whole numbers.
     #[must_use]
     pub fn map_from_pixel(&self, u: f64, v: f64) -> MapPoint {
@@ -218,6 +225,15 @@ impl Placement {
         let middle = (f64::from(self.width) - 1.0) / 2.0;
         u - period * ((u - middle) / period).round()
     }
+}
+
+/// Ground meters to the shorter side of a pixel where the map of `crs` is truest.
+pub(crate) fn nominal_pixel(crs: &Crs, pixel_size: [f64; 2]) -> Meters {
+    let per_unit = match crs.wraps_with_period() {
+        Some(period) => std::f64::consts::TAU * crs.ellipsoid.a().0 / period,
+        None => 1.0,
+    };
+    Meters(pixel_size[1].min(pixel_size[0]) * per_unit)
 }
 
 fn pole_name(pole: Pole) -> &'static str {

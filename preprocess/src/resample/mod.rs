@@ -7,3 +7,9 @@
 //! ```
 
 pub mod tile;
+
+pub mod transform;
+
+pub mod needs;
+
+pub mod target;

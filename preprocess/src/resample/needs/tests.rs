@@ -1,0 +1,224 @@
+use std::collections::BTreeSet;
+
+use areoid_formats::body::Ellipsoid;
+use areoid_formats::geodesy::LatitudeKind;
+use areoid_formats::grid::Grid;
+use areoid_formats::projection::{
+    Equirectangular, PolarScale, PolarStereographic, Pole, Projection,
+};
+use areoid_formats::units::{Meters, Radians};
+use proptest::prelude::*;
+
+use super::*;
+use crate::resample::tile::Coords;
+use crate::resample::transform::Precision;
+use crate::resample::transform::tests::{Round, Straight, round, straight, surfaces};
+
+/// Six taps an axis.
+const REACH: Reach = [2, 3, 2, 3];
+
+/// The row that stands for row `row`, one by one, and whether it does half a turn away.
+fn row_of(source: &Placement, mut row: i64) -> (i64, bool) {
+    let height = i64::from(source.height);
+    let mut turned = false;
+    while !(0..height).contains(&row) {
+        let (contact, edge) =
+            if row < 0 { (source.north, 0) } else { (source.south, 2 * height - 2) };
+        let outward = if row < 0 { -1 } else { 1 };
+        let own = if contact == PoleContact::Outline { outward } else { 0 };
+        row = if height == 1 && own == 0 { 0 } else { edge + own - row };
+        turned ^= contact != PoleContact::None;
+    }
+    (row, turned)
+}
+
+/// The columns that stand for column `col`: two where half a turn falls between them.
+fn cols_of(source: &Placement, mut col: i64, turned: bool) -> Vec<i64> {
+    let width = i64::from(source.width);
+    if source.wraps {
+        let turn = if turned { width / 2 } else { 0 };
+        let between = if turned { width % 2 } else { 0 };
+        return (0..=between).map(|more| (col + turn + more).rem_euclid(width)).collect();
+    }
+    while !(0..width).contains(&col) {
+        col = if width == 1 {
+            0
+        } else if col < 0 {
+            -col
+        } else {
+            2 * width - 2 - col
+        };
+    }
+    vec![col]
+}
+
+/// The prepared tiles that the taps of every texel of a leaf lie in.
+fn touched(transform: &Transform, leaf: PageAddress) -> BTreeSet<PreparedAt> {
+    let (source, pyramid) = (transform.source(), transform.target().pyramid());
+    let (height, width) = pyramid.interior_size(leaf);
+    let start = |index: u32| i64::from(index * pyramid.interior()) - 1;
+    let (row, col) = (start(leaf.row), start(leaf.col));
+    let tiles = transform.tiles(row..row + i64::from(height) + 2, col..col + i64::from(width) + 2);
+    let mut found = BTreeSet::new();
+    let mut coords = Coords::default();
+    let inside = |place: f64, length: u32| (0..i64::from(length)).contains(&floor(place + 0.5));
+    let mut last = [i64::MIN; 2];
+    for tile in tiles {
+        transform.coords(tile, &mut coords);
+        for (&u, &v) in coords.u.iter().zip(&coords.v) {
+            if !(source.wraps || inside(u, source.width)) || !inside(v, source.height) {
+                continue;
+            }
+            let place = [floor(u), floor(v)];
+            if place == last {
+                continue;
+            }
+            last = place;
+            for tap in place[1] - REACH[2]..=place[1] + REACH[3] {
+                let (row, turned) = row_of(source, tap);
+                for tap in place[0] - REACH[0]..=place[0] + REACH[1] {
+                    for col in cols_of(source, tap, turned) {
+                        let [row, col] = [row, col].map(|at| at as u32 / PREPARED);
+                        found.insert(PreparedAt { row, col });
+                    }
+                }
+            }
+        }
+    }
+    found
+}
+
+fn leaf_at(grid: &Grid, place: [f64; 2]) -> PageAddress {
+    let finest = grid.pyramid().finest();
+    let (rows, cols) = grid.pyramid().pages(finest).unwrap();
+    let [row, col] = [(place[0], rows), (place[1], cols)]
+        .map(|(place, count)| ((place * f64::from(count)) as u32).min(count - 1));
+    PageAddress::new(finest, row, col)
+}
+
+fn check(target: &Grid, source: &Placement, place: [f64; 2]) -> Result<(), TestCaseError> {
+    let transform = Transform::new(target, source, Precision::default()).unwrap();
+    let leaf = leaf_at(target, place);
+    let named = prepared_tiles(&transform, leaf, |_| REACH);
+    for tile in touched(&transform, leaf) {
+        prop_assert!(named.binary_search(&tile).is_ok(), "{tile:?} is not among {named:?}");
+    }
+    for tile in named {
+        let in_source = tile.row * PREPARED < source.height && tile.col * PREPARED < source.width;
+        prop_assert!(in_source, "{tile:?}");
+    }
+    Ok(())
+}
+
+fn places() -> impl Strategy<Value = [f64; 2]> {
+    let place = || prop_oneof![Just(0.0), 0.0..1.0, Just(1.0)];
+    [place(), place()]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+
+    #[test]
+    fn every_tap_of_a_polar_leaf_is_named(
+        surface in surfaces(), target in round(), source in straight(), place in places(),
+    ) {
+        check(&target.grid(surface), &source.placement(surface), place)?;
+    }
+
+    #[test]
+    fn every_tap_of_a_straight_leaf_is_named(
+        surface in surfaces(), target in straight(), source in round(), place in places(),
+    ) {
+        let Some(target) = target.grid(surface) else { return Ok(()) };
+        if target.pyramid().page_side() <= 66 {
+            check(&target, &source.placement(surface), place)?;
+        }
+    }
+
+    #[test]
+    fn every_tap_from_straight_to_straight_is_named(
+        surface in surfaces(), target in straight(), source in straight(), place in places(),
+    ) {
+        let Some(target) = target.grid(surface) else { return Ok(()) };
+        if target.pyramid().page_side() <= 66 {
+            check(&target, &source.placement(surface), place)?;
+        }
+    }
+
+    #[test]
+    fn every_tap_from_polar_to_polar_is_named(
+        surface in surfaces(), target in round(), source in round(), place in places(),
+    ) {
+        check(&target.grid(surface), &source.placement(surface), place)?;
+    }
+}
+
+/// Leaves of maps as large as those of planets: a rectangle turned by any angle in the source, and
+/// all of them about a pole.
+#[test]
+fn few_more_tiles_are_named_than_touched() {
+    let surface = (Ellipsoid::sphere(Meters(3_396_190.0)).unwrap(), LatitudeKind::Planetographic);
+    let map = PolarStereographic {
+        pole: Pole::North,
+        central_meridian: Radians(0.3),
+        scale: PolarScale::AtPole(1.0),
+        false_easting: Meters(0.0),
+        false_northing: Meters(0.0),
+    };
+    let polar = Round { map, scale: 3396.19, aspect: 1.0, pole: [4095.5; 2], size: [8192; 2] };
+    let globe = Straight {
+        projection: Projection::Equirectangular(Equirectangular::default()),
+        on_sphere: false,
+        half_width: 9216,
+        posts: false,
+        part: None,
+    };
+    let mut worst = 0.0_f64;
+    for (target, source) in [
+        (polar.grid(surface), globe.placement(surface)),
+        (globe.grid(surface).unwrap(), polar.placement(surface)),
+    ] {
+        let target = Grid::new(
+            *target.crs(),
+            target.origin(),
+            target.pixel_size(),
+            target.pyramid().extent(),
+            512,
+        )
+        .unwrap();
+        let transform = Transform::new(&target, &source, Precision::default()).unwrap();
+        let finest = target.pyramid().finest();
+        let (rows, cols) = target.pyramid().pages(finest).unwrap();
+        let (mut named, mut needed) = (0, 0);
+        let leaves = (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col)));
+        for (row, col) in leaves.step_by(5) {
+            let leaf = PageAddress::new(finest, row, col);
+            named += prepared_tiles(&transform, leaf, |_| REACH).len();
+            needed += touched(&transform, leaf).len();
+        }
+        let ratio = named as f64 / needed as f64;
+        println!("{named} named, {needed} needed: {ratio:.3}");
+        worst = worst.max(ratio);
+    }
+    assert!(worst <= 1.3, "{worst}");
+}
+
+#[test]
+fn a_halo_folds_over_the_antimeridian_and_the_pole() {
+    let surface = (Ellipsoid::sphere(Meters(3_396_190.0)).unwrap(), LatitudeKind::Planetographic);
+    let globe = Straight {
+        projection: Projection::Geographic,
+        on_sphere: false,
+        half_width: 512,
+        posts: false,
+        part: None,
+    };
+    let rects = halo(&globe.placement(surface), PreparedAt { row: 0, col: 0 }, 16);
+    let rect = |cols, rows| Rect { cols, rows };
+    let expected = [rect(1008..1024, 0..272), rect(0..272, 0..272), rect(496..784, 0..16)];
+    assert_eq!(rects, expected);
+    let found = blocks(&rects, [0, 0], [1024, 512], [512, 1]);
+    assert_eq!(found.len(), 2 * 272, "strips half as wide as a row: {found:?}");
+    let found = blocks(&rects, [1000, 4], [24, 8], [16, 16]);
+    assert_eq!(found, [[0, 0], [1, 0]]);
+}
