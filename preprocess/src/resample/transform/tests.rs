@@ -1,3 +1,9 @@
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "the grids drawn are small"
+)]
+
 use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::grid::Outline;
@@ -83,7 +89,8 @@ impl Straight {
         let turn = crs.wraps_with_period().unwrap();
         let (north, south) =
             (crs.y_of_pole(Pole::North).unwrap(), crs.y_of_pole(Pole::South).unwrap());
-        let west = crs.project(Default::default()).unwrap().x - turn * 0.4;
+        let west =
+            crs.project(areoid_formats::geodesy::Geographic::default()).unwrap().x - turn * 0.4;
         let pixel = turn / f64::from(2 * self.half_width);
         let rows = if self.posts { self.half_width + 1 } else { self.half_width };
         let height = (north - south) / f64::from(self.half_width);
@@ -307,6 +314,7 @@ proptest! {
 /// `cargo test --profile ci -p areoid-preprocess --lib how_fast -- --ignored --nocapture`.
 #[test]
 #[ignore = "prints figures"]
+#[expect(clippy::print_stdout, reason = "printing is its purpose")]
 fn how_fast_and_how_exact() {
     let mars = (Ellipsoid::sphere(Meters(3_396_190.0)).unwrap(), LatitudeKind::Planetographic);
     let flat = Ellipsoid::new(Meters(3_396_190.0), Meters(3_376_200.0)).unwrap();
