@@ -106,8 +106,6 @@ pub fn target_grid(sources: &[Placement], request: TargetRequest) -> Result<Grid
     match crs.wraps_with_period() {
         Some(period) => {
             let pixel = pixel_m * period / (TAU * crs.ellipsoid.a().0);
-            // To scale at the equator along both axes: an equirectangular map's own parallel
-            // decides how wide a meter is.
             straight(crs, area, pixel, period, request.page_side)
         }
         None => flat(crs, area, pixel_m, request.page_side),
@@ -286,7 +284,6 @@ fn straight(
     }
 
     let mut width = whole(period / pixel)?;
-    // The west end of the map, or the source's own where it has the same.
     loop {
         let pixel = period / f64::from(width);
         match around(crs, area, width, [pixel, pixel * per_x], page_side) {
@@ -378,9 +375,131 @@ fn flat(crs: Crs, area: Area, pixel: f64, page_side: u32) -> Result<Grid, Target
 /// A number of pixels rounded up, at least 1.
 fn whole(pixels: f64) -> Result<u32, TargetError> {
     let up = (pixels - ROUNDING_PX).ceil().max(1.0);
-    if !(up <= f64::from(u32::MAX)) {
+    if up.is_nan() || up > f64::from(u32::MAX) {
         return Err(GridError::PixelSize(pixels, pixels).into());
     }
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
     Ok(up as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use areoid_formats::body::Body;
+    use areoid_formats::grid::Outline;
+
+    fn request(map: TargetMap, pixel_m: Option<f64>) -> TargetRequest {
+        TargetRequest { map, pixel_size: pixel_m.map(Meters), page_side: 512 }
+    }
+
+    fn degrees(origin: [f64; 2], pixel: f64, width: u32, height: u32) -> Placement {
+        let crs = Crs::new(Projection::Geographic, Body::parse("mars").unwrap().ellipsoid);
+        let outline = Outline { origin, pixel_size: [pixel; 2], width, height };
+        Placement::from_outline(crs, outline).unwrap()
+    }
+
+    fn polar(pole: Pole, half: u32, pixel: f64) -> Placement {
+        let map = PolarStereographic {
+            pole,
+            central_meridian: Radians(0.0),
+            scale: PolarScale::AtPole(1.0),
+            false_easting: Meters(0.0),
+            false_northing: Meters(0.0),
+        };
+        let body = Body::parse("mars").unwrap().ellipsoid;
+        let edge = f64::from(half) * pixel;
+        let outline = Outline {
+            origin: [-edge, edge],
+            pixel_size: [pixel; 2],
+            width: 2 * half,
+            height: 2 * half,
+        };
+        let crs = Crs::new(Projection::PolarStereographic(map), body);
+        Placement::from_outline(crs, outline).unwrap()
+    }
+
+    /// Every pixel's center of a source lies in the target, a whole pixel inside its edges at most.
+    fn covers(grid: &Grid, source: &Placement) {
+        let finest = grid.pyramid().finest();
+        for at in 0..=64 {
+            for end in [0.0, 1.0] {
+                let share = f64::from(at) / 64.0;
+                for (u, v) in [(share, end), (end, share)] {
+                    let u = u * (f64::from(source.width) - 1.0);
+                    let v = v * (f64::from(source.height) - 1.0);
+                    let position = source.crs.unproject(source.map_from_pixel(u, v)).unwrap();
+                    assert!(grid.locate(finest, position).is_some(), "{u} {v} {position:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn an_uneven_globe_gets_the_next_even_width() {
+        let globe = degrees([-180.0, 90.0], 360.0 / 106_694.0, 106_694, 53_347);
+        let grid = target_grid(&[globe], request(TargetMap::Equirectangular, None)).unwrap();
+        let extent = grid.pyramid().extent();
+        assert_eq!((extent.width, extent.height), (106_752, 53_376));
+        assert_eq!((extent.north, extent.south), (PoleContact::Outline, PoleContact::Outline));
+        covers(&grid, &globe);
+    }
+
+    #[test]
+    fn a_cap_becomes_a_band_around_the_body_that_ends_at_its_pole() {
+        for pole in [Pole::North, Pole::South] {
+            let cap = polar(pole, 2048, 500.0);
+            let grid = target_grid(&[cap], request(TargetMap::Equirectangular, None)).unwrap();
+            let extent = grid.pyramid().extent();
+            let reached = [extent.north, extent.south].map(|it| it == PoleContact::Outline);
+            assert!(extent.wraps && reached == [pole == Pole::North, pole == Pole::South]);
+            // Square pixels, the last of an even width smaller by a little.
+            let [x, y] = grid.pixel_size();
+            assert!((x - y).abs() < 1e-9 && x <= 500.0 && x > 470.0, "{x} {y}");
+            covers(&grid, &cap);
+        }
+    }
+
+    #[test]
+    fn a_globe_becomes_a_hemisphere_about_a_pole() {
+        let globe = degrees([-180.0, 90.0], 0.125, 2880, 1440);
+        let grid = target_grid(&[globe], request(TargetMap::Polar(Pole::South), Some(5000.0)));
+        let extent = grid.unwrap().pyramid().extent();
+        // The equator is two radii from the pole.
+        let across = 2717;
+        assert!(extent.width.abs_diff(across) <= 1 && extent.height.abs_diff(across) <= 1);
+    }
+
+    #[test]
+    fn a_region_over_the_antimeridian_stays_one() {
+        let region = degrees([170.0, 20.0], 0.1, 200, 100);
+        let grid = target_grid(&[region], request(TargetMap::Equirectangular, None)).unwrap();
+        let extent = grid.pyramid().extent();
+        assert!(!extent.wraps && (200..=201).contains(&extent.width));
+        assert!((100..=101).contains(&extent.height), "{extent:?}");
+        covers(&grid, &region);
+        let grid = target_grid(&[region], request(TargetMap::Polar(Pole::North), None)).unwrap();
+        covers(&grid, &region);
+    }
+
+    #[test]
+    fn the_native_grid_is_kept_or_made_coarser_from_its_corner() {
+        let region = degrees([350.0, 20.0], 0.1, 200, 100);
+        let same = target_grid(&[region], request(TargetMap::Native, None)).unwrap();
+        assert_eq!((same.origin(), same.pixel_size()), ([350.0, 20.0], [0.1; 2]));
+        let twice = 2.0 * region.nominal_pixel().0;
+        let grid = target_grid(&[region], request(TargetMap::Native, Some(twice))).unwrap();
+        let extent = grid.pyramid().extent();
+        assert_eq!((extent.width, extent.height), (100, 50));
+        covers(&grid, &region);
+    }
+
+    #[test]
+    fn what_makes_no_target_is_refused() {
+        let south = degrees([0.0, -20.0], 0.1, 200, 100);
+        let map = TargetMap::Polar(Pole::North);
+        assert_eq!(target_grid(&[south], request(map, None)), Err(TargetError::NothingShown));
+        assert_eq!(target_grid(&[], request(map, None)), Err(TargetError::Empty));
+        let flat = target_grid(&[south], request(map, Some(0.0)));
+        assert_eq!(flat, Err(TargetError::PixelSize(0.0)));
+    }
 }

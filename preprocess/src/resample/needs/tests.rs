@@ -1,3 +1,9 @@
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "the grids drawn are small"
+)]
+
 use std::collections::BTreeSet;
 
 use areoid_formats::body::Ellipsoid;
@@ -110,6 +116,14 @@ fn check(target: &Grid, source: &Placement, place: [f64; 2]) -> Result<(), TestC
     Ok(())
 }
 
+/// The same grid in pages of so few texels that all of one can be tried.
+fn small_pages(grid: Grid) -> Option<Grid> {
+    let (origin, pixel_size, extent) = (grid.origin(), grid.pixel_size(), grid.pyramid().extent());
+    [66, 130, 514]
+        .into_iter()
+        .find_map(|side| Grid::new(*grid.crs(), origin, pixel_size, extent, side).ok())
+}
+
 fn places() -> impl Strategy<Value = [f64; 2]> {
     let place = || prop_oneof![Just(0.0), 0.0..1.0, Just(1.0)];
     [place(), place()]
@@ -129,20 +143,16 @@ proptest! {
     fn every_tap_of_a_straight_leaf_is_named(
         surface in surfaces(), target in straight(), source in round(), place in places(),
     ) {
-        let Some(target) = target.grid(surface) else { return Ok(()) };
-        if target.pyramid().page_side() <= 66 {
-            check(&target, &source.placement(surface), place)?;
-        }
+        let Some(target) = target.grid(surface).and_then(small_pages) else { return Ok(()) };
+        check(&target, &source.placement(surface), place)?;
     }
 
     #[test]
     fn every_tap_from_straight_to_straight_is_named(
         surface in surfaces(), target in straight(), source in straight(), place in places(),
     ) {
-        let Some(target) = target.grid(surface) else { return Ok(()) };
-        if target.pyramid().page_side() <= 66 {
-            check(&target, &source.placement(surface), place)?;
-        }
+        let Some(target) = target.grid(surface).and_then(small_pages) else { return Ok(()) };
+        check(&target, &source.placement(surface), place)?;
     }
 
     #[test]
@@ -191,13 +201,12 @@ fn few_more_tiles_are_named_than_touched() {
         let (rows, cols) = target.pyramid().pages(finest).unwrap();
         let (mut named, mut needed) = (0, 0);
         let leaves = (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col)));
-        for (row, col) in leaves.step_by(5) {
+        for (row, col) in leaves.step_by(29) {
             let leaf = PageAddress::new(finest, row, col);
             named += prepared_tiles(&transform, leaf, |_| REACH).len();
             needed += touched(&transform, leaf).len();
         }
         let ratio = named as f64 / needed as f64;
-        println!("{named} named, {needed} needed: {ratio:.3}");
         worst = worst.max(ratio);
     }
     assert!(worst <= 1.3, "{worst}");
@@ -215,7 +224,7 @@ fn a_halo_folds_over_the_antimeridian_and_the_pole() {
     };
     let rects = halo(&globe.placement(surface), PreparedAt { row: 0, col: 0 }, 16);
     let rect = |cols, rows| Rect { cols, rows };
-    let expected = [rect(0..272, 0..272), rect(1008..1024, 0..272), rect(496..784, 0..16)];
+    let expected = [rect(1008..1024, 0..272), rect(0..272, 0..272), rect(496..784, 0..16)];
     assert_eq!(rects, expected);
     let found = blocks(&rects, [0, 0], [1024, 512], [512, 1]);
     assert_eq!(found.len(), 2 * 272, "strips half as wide as a row: {found:?}");

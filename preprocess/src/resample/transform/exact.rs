@@ -1,9 +1,11 @@
 //! Positions through the body, one by one: the oracle, and the way where no other leads.
 
-use std::f64::consts::PI;
+use std::f64::consts::{FRAC_PI_2, PI};
 
 use areoid_formats::geodesy::Geographic;
 use areoid_formats::grid::{Grid, Placement, TexelPoint};
+use areoid_formats::projection::Projection;
+use areoid_formats::units::Radians;
 
 use super::{cols_of, rows_of};
 use crate::resample::tile::{Coords, TargetTile};
@@ -120,8 +122,11 @@ impl Pair {
             .chain((0..across).map(|col| at(down, across - col)))
             .chain((0..down).map(|row| at(down - row, 0)))
             .collect();
-        // What the source does not show may surround all of it.
+        // What the source's map puts at infinity lies in it or near it.
         let Some(rim) = rim else { return everything };
+        if self.holds_the_end_of_the_source(tile) {
+            return everything;
+        }
 
         let mut range = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
         let (mut bend_u, mut bend_v) = (0.0_f64, 0.0_f64);
@@ -139,6 +144,19 @@ impl Pair {
         // A bend of h²|f''| leaves its chord by an eighth.
         let (bend_u, bend_v) = (bend_u / 4.0 + 1e-3, bend_v / 4.0 + 1e-3);
         [left - bend_u, right + bend_u, top - bend_v, bottom + bend_v]
+    }
+
+    /// Whether a rectangle of texels holds the pole that is at infinity on the source's map.
+    fn holds_the_end_of_the_source(&self, tile: TargetTile) -> bool {
+        let Projection::PolarStereographic(map) = &self.source.crs.projection else { return false };
+        let latitude = Radians(-map.pole.sign() * FRAC_PI_2);
+        let end = Geographic { latitude, ..Geographic::default() };
+        let Some(end) = self.target.crs().project(end) else { return false };
+        let TexelPoint { x, y } = self.target.texel_from_map(self.target.pyramid().finest(), end);
+        let holds = |place: f64, start: i64, length: usize| {
+            (start as f64..=start as f64 + length as f64).contains(&place)
+        };
+        holds(x, tile.col, tile.cols) && holds(y, tile.row, tile.rows)
     }
 
     /// Lengths of a texel's footprint along the source's columns and rows, by differences.

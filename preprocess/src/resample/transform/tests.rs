@@ -1,3 +1,9 @@
+#![expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "the grids drawn are small"
+)]
+
 use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::grid::Outline;
@@ -83,7 +89,8 @@ impl Straight {
         let turn = crs.wraps_with_period().unwrap();
         let (north, south) =
             (crs.y_of_pole(Pole::North).unwrap(), crs.y_of_pole(Pole::South).unwrap());
-        let west = crs.project(Default::default()).unwrap().x - turn * 0.4;
+        let west =
+            crs.project(areoid_formats::geodesy::Geographic::default()).unwrap().x - turn * 0.4;
         let pixel = turn / f64::from(2 * self.half_width);
         let rows = if self.posts { self.half_width + 1 } else { self.half_width };
         let height = (north - south) / f64::from(self.half_width);
@@ -307,6 +314,7 @@ proptest! {
 /// `cargo test --profile ci -p areoid-preprocess --lib how_fast -- --ignored --nocapture`.
 #[test]
 #[ignore = "prints figures"]
+#[expect(clippy::print_stdout, reason = "printing is its purpose")]
 fn how_fast_and_how_exact() {
     let mars = (Ellipsoid::sphere(Meters(3_396_190.0)).unwrap(), LatitudeKind::Planetographic);
     let flat = Ellipsoid::new(Meters(3_396_190.0), Meters(3_376_200.0)).unwrap();
@@ -361,4 +369,78 @@ fn how_fast_and_how_exact() {
             );
         }
     }
+}
+
+/// A texel's place in the source leads back to it, to rounding: 10⁻⁹ radii of the body are so many
+/// texels.
+fn check_back(transform: &Transform, place: [f64; 2]) -> Result<(), TestCaseError> {
+    let target = transform.target();
+    let extent = target.pyramid().extent();
+    let row = place[0] * (f64::from(extent.height) - 1.0);
+    let col = place[1] * (f64::from(extent.width) - 1.0);
+    let Some((u, v)) = transform.exact(row, col) else { return Ok(()) };
+    let back = transform.back(u, v).expect("what is seen is on both maps");
+    let texels_per_radius = target.crs().body.a().0 / target.nominal_pixel().0;
+    let tolerance = 1e-9 * texels_per_radius.max(1.0);
+    prop_assert!((back.y - 0.5 - row).abs() <= tolerance, "{row} {col}: {back:?}");
+    let position = transform.pair.position(row, col).unwrap();
+    let from_pole = std::f64::consts::FRAC_PI_2 - position.latitude.0.abs();
+    let turn = target.crs().wraps_with_period().map_or(0.0, |it| it / target.pixel_size()[0]);
+    let off = (back.x - 0.5 - col).abs();
+    // Meridians meet at the poles, and a whole turn is none.
+    let off = off.min((off - turn).abs()) * if turn > 0.0 { from_pole.sin() } else { 1.0 };
+    prop_assert!(off <= tolerance, "{row} {col}: {back:?}");
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(600))]
+
+    #[test]
+    fn back_leads_to_where_one_came_from(
+        surface in surfaces(), one in straight(), other in round(), third in straight(),
+        place in [0.0..=1.0, 0.0..=1.0_f64],
+    ) {
+        check_back(&transform(&other.grid(surface), &one.placement(surface)), place)?;
+        if let Some(target) = one.grid(surface) {
+            check_back(&transform(&target, &other.placement(surface)), place)?;
+            check_back(&transform(&target, &third.placement(surface)), place)?;
+        }
+    }
+}
+
+#[test]
+fn what_is_asked_for_exactly_is_done_one_by_one() {
+    let surface = (Ellipsoid::WGS84, LatitudeKind::Planetographic);
+    let map = PolarStereographic {
+        pole: Pole::South,
+        central_meridian: Radians(1.0),
+        scale: PolarScale::AtPole(0.994),
+        false_easting: Meters(2e6),
+        false_northing: Meters(2e6),
+    };
+    let target = Round { map, scale: 6000.0, aspect: 1.0, pole: [999.5; 2], size: [2000; 2] };
+    let source = Straight {
+        projection: Projection::Geographic,
+        on_sphere: false,
+        half_width: 5000,
+        posts: true,
+        part: None,
+    };
+    let (target, source) = (target.grid(surface), source.placement(surface));
+    let tile = TargetTile { row: 0, col: 0, rows: 64, cols: 64 };
+    let count = |precision| {
+        let transform = Transform::new(&target, &source, precision).unwrap();
+        transform.coords(tile, &mut Coords::default());
+        transform.counts()
+    };
+    let series = TransformCounts { series: 4096, ..TransformCounts::default() };
+    assert_eq!(count(Precision::default()), series);
+    let exact = TransformCounts { exact: 4096, ..TransformCounts::default() };
+    assert_eq!(count(Precision::Exact), exact);
+    assert_eq!(count(Precision::Within { px: 1e-9 }), exact);
+
+    let moon = Crs::new(Projection::Geographic, Ellipsoid::sphere(Meters(1_737_400.0)).unwrap());
+    let elsewhere = Placement { crs: moon, ..source };
+    assert!(Transform::new(&target, &elsewhere, Precision::default()).is_none());
 }
