@@ -4,6 +4,8 @@
 //!
 //! Modules stand in the order of their dependencies: a file uses only files above it.
 
+pub mod once;
+
 pub mod raster;
 
 pub mod schedule;

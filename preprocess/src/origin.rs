@@ -6,7 +6,7 @@ use areoid_formats::address::PageAddress;
 use areoid_formats::grid::Grid;
 
 use crate::build::Leaves;
-use crate::raster::Overflow;
+use crate::once::Overflow;
 
 /// Leaves made of rasters, on a grid of their own.
 pub trait Origin: Leaves + Send {

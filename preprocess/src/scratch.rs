@@ -19,7 +19,7 @@ use areoid_formats::storage::{ByteSource as _, FileSource};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
-use crate::raster::{Spill, Ticket};
+use crate::once::{Spill, Ticket};
 
 /// Slots start and end at multiples of this many bytes.
 const BLOCK: u64 = 4096;
@@ -276,7 +276,7 @@ fn write_at(file: &File, mut bytes: &[u8], mut offset: u64) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::raster::block_cache::test_support::keeps_the_contract;
+    use crate::once::test_support::keeps_the_contract;
     use proptest::prelude::*;
 
     fn scratch() -> Scratch {

@@ -13,8 +13,8 @@ use crate::build_error::BuildError;
 use crate::estimate::Estimate;
 use crate::feather::HALO;
 use crate::note::Note;
+use crate::once::Overflow;
 use crate::origin::Origin;
-use crate::raster::Overflow;
 use crate::schedule::Schedule;
 use crate::scratch::{Aside, Scratch};
 

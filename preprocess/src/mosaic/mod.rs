@@ -18,8 +18,9 @@ use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
 use areoid_formats::pyramid::Pyramid;
 
+use crate::once::Overflow;
 use crate::origin::Origin;
-use crate::raster::{BlockCache, Overflow, Raster, RasterInfo};
+use crate::raster::{BlockCache, Raster, RasterInfo};
 
 /// Rasters placed on the grid that their pixels share.
 #[derive(Debug)]

@@ -33,7 +33,7 @@ use areoid_formats::body::Body;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::projection::Crs;
 
-pub use self::block_cache::{BlockCache, Overflow, Spill, Ticket};
+pub use self::block_cache::BlockCache;
 pub use self::convert::{Filled, Window, colors_into, heights_into, whole_heights_into};
 pub use self::error::RasterError;
 pub use self::outline::Outline;

@@ -1,9 +1,9 @@
 //! Each block is decoded once, whoever wants it and wherever it waits.
 
 use super::super::{Outline, RasterInfo, SampleType, Samples};
-use super::test_support::MemorySpill;
 use super::*;
-use std::sync::atomic::AtomicU32;
+use crate::once::test_support::MemorySpill;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// A raster of 5 × 3 blocks that counts how often each is decoded.
 #[derive(Debug)]

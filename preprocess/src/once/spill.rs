@@ -1,4 +1,4 @@
-//! Where blocks wait that memory has no room for.
+//! Where parcels wait that memory has no room for.
 
 use std::fmt::Debug;
 use std::io;
@@ -39,10 +39,10 @@ pub trait Spill: Send + Sync + Debug {
     fn free(&self, ticket: Ticket);
 }
 
-/// How many bytes of blocks may be in memory, and where the others go.
+/// How many bytes of parcels may be in memory, and where the others go.
 ///
-/// Caches may share one: each then sets its own blocks aside while all together have too many.
-/// Blocks in use are in memory whatever the budget; so is the one being read.
+/// Caches may share one: each then sets its own parcels aside while all together have too many.
+/// Parcels in use are in memory whatever the budget; so is the one being read.
 #[derive(Debug)]
 pub struct Overflow {
     pub(super) spill: Arc<dyn Spill>,
@@ -57,7 +57,7 @@ impl Overflow {
         Self { spill, budget_bytes, resident_bytes: AtomicU64::new(0) }
     }
 
-    /// Bytes of the samples that all caches keep in memory now.
+    /// Bytes of the parcels that all caches keep in memory now.
     #[must_use]
     pub fn resident_bytes(&self) -> u64 {
         self.resident_bytes.load(Ordering::Relaxed)
