@@ -7,3 +7,12 @@
 //! ```
 
 pub mod tile;
+
+pub mod extension;
+pub mod source;
+
+pub mod prepare;
+
+pub mod window;
+
+pub mod kernel;

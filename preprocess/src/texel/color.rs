@@ -95,6 +95,19 @@ impl Light {
     }
 }
 
+/// The light of a code, for kernels that sum it.
+pub(crate) fn light(code: u8) -> f32 {
+    // Below 2^22, so that f32 has it to the bit.
+    LIGHT.linear[usize::from(code)] as f32
+}
+
+/// The code nearest an amount of light.
+pub(crate) fn code(light: f32) -> u8 {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "within bounds")]
+    let quarters = (4.0 * light).clamp(0.0, 4.0 * WHITE as f32) as u32;
+    LIGHT.code(quarters)
+}
+
 /// Light of a code from 0 to 255, from 0 to 1.
 fn light_of(code: f64) -> f64 {
     let encoded = code / 255.0;
@@ -135,6 +148,7 @@ mod tests {
     fn every_code_comes_back_from_its_own_light() {
         for code in 0..=255 {
             assert_eq!(u8::mean(&[code; 4], Quantum::NONE), code);
+            assert_eq!(super::code(light(code)), code);
         }
     }
 

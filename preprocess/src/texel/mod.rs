@@ -7,6 +7,8 @@ mod color;
 mod height;
 mod whole_height;
 
+pub(crate) use self::color::{code, light};
+
 use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::bound;
 use areoid_formats::codec::{EncodeError, Quantum, Scratch};

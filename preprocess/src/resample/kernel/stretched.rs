@@ -1,0 +1,211 @@
+//! Kernels as wide as texels are apart, where those are farther apart than the source's detail.
+//!
+//! With q the length of a texel's footprint along an axis, in units of the source's own detail
+//! there, and s the same in pixels:
+//!
+//! ```text
+//!   stretch
+//!      s |                 .·
+//!        |               .·
+//!        |              /            texels as dense as pixels, and up to 1.6 times as far apart,
+//!      1 |_____________/             are interpolated: there is hardly anything to alias, and a
+//!        +------------1.6-2----- q   wider kernel would blur what there is
+//! ```
+//!
+//! An equirectangular raster has many pixels a detail toward its poles: crossing many of its columns
+//! there is no minification, which is why q and not s decides.
+//!
+//! A spline's kernel is endless, so it is not stretched: it gives way, as stretch goes from 1 to 2,
+//! to stretched Lanczos. What that weighs is pixels, which are the coefficients convolved with the
+//! spline at whole numbers; so are its weights then, and coefficients are summed as ever.
+
+use super::super::tile::{Coords, Footprint};
+use super::super::window::View;
+use super::wide::{Axis, LOAD};
+use super::{Kernel, Scratch, weights, wide};
+
+/// How far kernels are stretched along the source's columns and rows.
+pub(super) fn stretch(footprint: Footprint) -> [f64; 2] {
+    let Footprint { texel_u, texel_v, detail_u, detail_v } = footprint;
+    [(texel_u, detail_u), (texel_v, detail_v)].map(|(texel, detail)| {
+        let share = ((texel / detail - 1.6) / 0.4).clamp(0.0, 1.0);
+        1.0 + share * (texel.max(1.0) - 1.0)
+    })
+}
+
+/// Half the taps of a kernel stretched along an axis.
+pub(super) fn reach(kernel: Kernel, stretch: f64) -> i64 {
+    let pairs = kernel.pairs() as f64;
+    #[expect(clippy::cast_possible_truncation, reason = "no more than the source has pixels")]
+    let stretched = |pairs: f64| (pairs * stretch).ceil() as i64;
+    match kernel {
+        Kernel::CubicSpline | Kernel::QuinticSpline if stretch > 1.0 => {
+            stretched(LOBES) + at_pixels(kernel).len() as i64 - 1
+        }
+        _ => stretched(pairs),
+    }
+}
+
+/// Of Lanczos, which stands in for splines.
+const LOBES: f64 = 3.0;
+
+/// A spline at whole numbers, from 0 on.
+fn at_pixels(kernel: Kernel) -> &'static [f32] {
+    match kernel {
+        Kernel::QuinticSpline => &[66.0 / 120.0, 26.0 / 120.0, 1.0 / 120.0],
+        _ => &[4.0 / 6.0, 1.0 / 6.0],
+    }
+}
+
+/// The kernel, `distance` pixels from its center.
+fn value(kernel: Kernel, distance: f32) -> f32 {
+    match kernel {
+        Kernel::Nearest | Kernel::Bilinear | Kernel::Average => (1.0 - distance.abs()).max(0.0),
+        Kernel::Cubic => weights::CUBIC.kernel(distance),
+        Kernel::PlainLanczos => weights::PLAIN_LANCZOS.kernel(distance),
+        Kernel::Lanczos => weights::LANCZOS.kernel(distance),
+        Kernel::CubicSpline => weights::CUBIC_SPLINE.kernel(distance),
+        Kernel::QuinticSpline => weights::QUINTIC_SPLINE.kernel(distance),
+    }
+}
+
+/// Texels by a kernel stretched along one axis or both.
+///
+/// # Precision
+///
+/// Weights are interpolated in tables of [`STEPS`] fractions: within 1e-5. They sum to 1, and
+/// balance, as those of the tables do.
+///
+/// # Panics
+///
+/// If a tap lies outside the view.
+pub(super) fn sample(
+    kernel: Kernel,
+    stretch: [f64; 2],
+    coords: &Coords,
+    view: View<'_>,
+    scratch: &mut Scratch,
+    out: &mut [f32],
+) {
+    let reach = stretch.map(|stretch| reach(kernel, stretch));
+    let Scratch { across, down, room } = scratch;
+    across.tabulate(kernel, stretch[0], reach[0]);
+    down.tabulate(kernel, stretch[1], reach[1]);
+    wide::sample([&*across, &*down], coords, view, room, out);
+}
+
+/// Weights of fractions 0, 1/[`STEPS`], …, 1, for as long as kernel and stretch are the same.
+#[derive(Debug, Default)]
+pub(super) struct Table {
+    of: Option<(Kernel, f64)>,
+    reach: i64,
+    /// A row a fraction, with zeros behind its taps up to a multiple of [`LOAD`].
+    weights: Vec<[f32; LOAD]>,
+    taps: Vec<f32>,
+    room: Vec<f32>,
+}
+
+/// Fractions in a table.
+const STEPS: usize = 256;
+
+impl Table {
+    fn tabulate(&mut self, kernel: Kernel, stretch: f64, reach: i64) {
+        if self.of == Some((kernel, stretch)) {
+            return;
+        }
+        (self.of, self.reach) = (Some((kernel, stretch)), reach);
+        self.weights.clear();
+        for step in 0..=STEPS {
+            let fraction = step as f64 / STEPS as f64;
+            axis(kernel, stretch, fraction, reach, &mut self.taps, &mut self.room);
+            self.taps.resize(self.chunks() * LOAD, 0.0);
+            self.weights.extend_from_slice(self.taps.as_chunks().0);
+        }
+    }
+}
+
+impl Axis for Table {
+    fn reach(&self) -> i64 {
+        self.reach
+    }
+
+    #[inline(always)]
+    fn weights(&self, fraction: f64, out: &mut [[f32; LOAD]]) {
+        let place = fraction * STEPS as f64;
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 1")]
+        let step = (place as usize).min(STEPS - 1);
+        #[expect(clippy::cast_possible_truncation, reason = "a fraction")]
+        let between = (place - step as f64) as f32;
+        let rows = &self.weights[step * self.chunks()..][..2 * self.chunks()];
+        let (before, after) = rows.split_at(self.chunks());
+        for ((out, before), after) in out.iter_mut().zip(before).zip(after) {
+            for lane in 0..LOAD {
+                out[lane] = before[lane] + (after[lane] - before[lane]) * between;
+            }
+        }
+    }
+}
+
+/// The `2 * reach` weights along an axis, `fraction` behind the last tap of the first half.
+fn axis(
+    kernel: Kernel,
+    stretch: f64,
+    fraction: f64,
+    reach: i64,
+    out: &mut Vec<f32>,
+    room: &mut Vec<f32>,
+) {
+    let distances = move |reach: i64| (1 - reach..=reach).map(move |tap| tap as f64 - fraction);
+    let is_spline = matches!(kernel, Kernel::CubicSpline | Kernel::QuinticSpline);
+    if stretch == 1.0 || !is_spline {
+        fit(kernel, stretch, distances(reach), out);
+        return;
+    }
+    let at_pixels = at_pixels(kernel);
+    let beside = at_pixels.len() - 1;
+    fit(Kernel::Lanczos, stretch, distances(reach - beside as i64), room);
+    #[expect(clippy::cast_possible_truncation, reason = "weights are f32")]
+    let (share, distance) = ((stretch - 1.0).min(1.0) as f32, |d: f64| d as f32);
+    out.clear();
+    out.extend(distances(reach).map(|d| (1.0 - share) * value(kernel, distance(d))));
+    for (tap, &weight) in room.iter().enumerate() {
+        let to = &mut out[tap..][..2 * beside + 1];
+        for (offset, to) in to.iter_mut().enumerate() {
+            *to += share * weight * at_pixels[offset.abs_diff(beside)];
+        }
+    }
+}
+
+/// Weights of a stretched kernel that sum to 1 and balance, so that ramps stay ramps.
+fn fit(
+    kernel: Kernel,
+    stretch: f64,
+    distances: impl Iterator<Item = f64> + Clone,
+    out: &mut Vec<f32>,
+) {
+    #[expect(clippy::cast_possible_truncation, reason = "weights are f32")]
+    let narrow = |number: f64| number as f32;
+    out.clear();
+    out.extend(distances.clone().map(|d| value(kernel, narrow(d / stretch))));
+    if stretch == 1.0 {
+        return;
+    }
+    // A hump under the kernel, g = 1 - (d / edge)², times a line: what is missing to sum and first
+    // moment.
+    let edge = (out.len() / 2) as f64;
+    let hump = |d: f64| (1.0 - (d / edge).powi(2)).max(0.0);
+    let (mut sum, mut first, mut moments) = (0.0, 0.0, [0.0; 3]);
+    for (&weight, d) in out.iter().zip(distances.clone()) {
+        let weight = f64::from(weight);
+        sum += weight;
+        first += weight * d;
+        let g = hump(d);
+        moments = [moments[0] + g, moments[1] + g * d, moments[2] + g * d * d];
+    }
+    let first = first / sum;
+    let determinant = moments[0] * moments[2] - moments[1] * moments[1];
+    let (a, b) = (first * moments[1] / determinant, -first * moments[0] / determinant);
+    for (weight, d) in out.iter_mut().zip(distances) {
+        *weight = narrow(f64::from(*weight) / sum + hump(d) * (a + b * d));
+    }
+}

@@ -1,0 +1,243 @@
+//! Two, four or six taps along each axis: the kernels at their own width.
+//!
+//! ```text
+//!   64 texels:  places ──▶ weights of all ──▶ for each texel: rows × weights ──▶ columns × weights
+//!               (f64)      (64 lanes)         (4 or 8 lanes)                     (64 lanes)
+//! ```
+//!
+//! What is summed is differences from the pixel beside the texel: where pixels are equal, the texel
+//! is that value to the bit whatever the weights' rounding, and f32 rounds what the terrain does
+//! near the texel and not its height above the reference.
+
+use areoid_formats::lanes::{self, Wide};
+
+use super::super::window::View;
+use super::weights::Pieces;
+
+/// Texels that are computed at once.
+const ROW: usize = 64;
+
+/// Where the taps of a row of texels begin, and what their weights depend on.
+struct Spots {
+    /// Indices of the first tap of the first row.
+    at: [u32; ROW],
+    /// Along columns, the way from the middle between two pixels, in -1/2 ..= 1/2.
+    u: [f32; ROW],
+    /// Along rows.
+    v: [f32; ROW],
+}
+
+impl Spots {
+    /// For taps that begin `before` pixels before the one beside a texel.
+    #[inline(always)]
+    fn new(u: &[f64; ROW], v: &[f64; ROW], view: View<'_>, before: i64) -> Self {
+        // Adding it leaves a whole number in the lowest bits.
+        const ROUNDER: f64 = 6_755_399_441_055_744.0;
+        let (col, row) = ((view.col + before) as f64, (view.row + before) as f64);
+        let stride = view.stride as f64;
+        let mut spots = Self { at: [0; ROW], u: [0.0; ROW], v: [0.0; ROW] };
+        for lane in 0..ROW {
+            let (u, v) = (u[lane] - col, v[lane] - row);
+            let (col, row) = (u.floor(), v.floor());
+            #[expect(clippy::cast_possible_truncation, reason = "fractions; the lowest bits")]
+            {
+                spots.u[lane] = (u - col - 0.5) as f32;
+                spots.v[lane] = (v - row - 0.5) as f32;
+                spots.at[lane] = (row * stride + col + ROUNDER).to_bits() as u32;
+            }
+        }
+        spots
+    }
+}
+
+/// A row of coordinates, the last of fewer repeated.
+#[inline(always)]
+fn padded(coords: &[f64]) -> [f64; ROW] {
+    let mut row = [coords[coords.len() - 1]; ROW];
+    row[..coords.len()].copy_from_slice(coords);
+    row
+}
+
+/// Work on texels whose coordinates are `u` and `v`, `ROW` by `ROW`.
+struct Rows<'a, T> {
+    texels: T,
+    u: &'a [f64],
+    v: &'a [f64],
+    out: &'a mut [f32],
+}
+
+/// What is done with a row of texels.
+trait Texels {
+    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], out: &mut [f32; ROW]);
+}
+
+impl<T: Texels> Wide for Rows<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { texels, u, v, out } = self;
+        let rows = u.chunks(ROW).zip(v.chunks(ROW)).zip(out.chunks_mut(ROW));
+        for ((u, v), out) in rows {
+            let mut row = [0.0; ROW];
+            texels.row(&padded(u), &padded(v), &mut row);
+            out.copy_from_slice(&row[..out.len()]);
+        }
+    }
+}
+
+/// Indices of the pixels whose cells hold texels; a texel between two belongs to the later.
+///
+/// `each` is called with as many as there are texels, a row at a time.
+pub(super) fn nearest(u: &[f64], v: &[f64], view: View<'_>, each: impl FnMut(&[u32])) {
+    struct Nearest<'a, F> {
+        u: &'a [f64],
+        v: &'a [f64],
+        view: View<'a>,
+        each: F,
+    }
+    impl<F: FnMut(&[u32])> Wide for Nearest<'_, F> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run(self) {
+            let Self { u, v, view, mut each } = self;
+            for (u, v) in u.chunks(ROW).zip(v.chunks(ROW)) {
+                let count = u.len();
+                let (mut u, mut v) = (padded(u), padded(v));
+                for texel in 0..ROW {
+                    u[texel] += 0.5;
+                    v[texel] += 0.5;
+                }
+                each(&Spots::new(&u, &v, view, 0).at[..count]);
+            }
+        }
+    }
+    lanes::vectorized(Nearest { u, v, view, each });
+}
+
+/// Two taps along each axis, linear between them.
+///
+/// # Panics
+///
+/// If a tap lies outside the view. See [`separable`].
+pub(super) fn bilinear(u: &[f64], v: &[f64], view: View<'_>, out: &mut [f32]) {
+    lanes::vectorized(Rows { texels: Bilinear { view }, u, v, out });
+}
+
+struct Bilinear<'a> {
+    view: View<'a>,
+}
+
+impl Texels for Bilinear<'_> {
+    #[inline(always)]
+    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], out: &mut [f32; ROW]) {
+        let spots = Spots::new(u, v, self.view, 0);
+        let stride = self.view.stride;
+        let [mut a, mut b, mut c, mut d] = [[0.0_f32; ROW]; 4];
+        for lane in 0..ROW {
+            let taps = &self.view.data[spots.at[lane] as usize..][..stride + 2];
+            (a[lane], b[lane]) = (taps[0], taps[1]);
+            (c[lane], d[lane]) = (taps[stride], taps[stride + 1]);
+        }
+        for lane in 0..ROW {
+            let (right, down) = (spots.u[lane] + 0.5, spots.v[lane] + 0.5);
+            let upper = (b[lane] - a[lane]) * right;
+            let lower = (c[lane] - a[lane]) + (d[lane] - c[lane]) * right;
+            out[lane] = a[lane] + (upper + (lower - upper) * down);
+        }
+    }
+}
+
+/// `2 * PAIRS` taps along each axis with the weights of `pieces`; `LOAD` floats of a row are looked
+/// at, which is that number or the next power of two.
+///
+/// # Shapes
+///
+/// `u`, `v` and `out` have an entry a texel. The view has [`View::SLACK`] floats behind each row.
+///
+/// # Panics
+///
+/// If a tap lies outside the view.
+pub(super) fn separable<const PAIRS: usize, const TERMS: usize, const LOAD: usize>(
+    pieces: &Pieces<PAIRS, TERMS>,
+    u: &[f64],
+    v: &[f64],
+    view: View<'_>,
+    out: &mut [f32],
+) {
+    let texels = Separable::<PAIRS, TERMS, LOAD> { pieces, view };
+    lanes::vectorized(Rows { texels, u, v, out });
+}
+
+struct Separable<'a, const PAIRS: usize, const TERMS: usize, const LOAD: usize> {
+    pieces: &'a Pieces<PAIRS, TERMS>,
+    view: View<'a>,
+}
+
+impl<const PAIRS: usize, const TERMS: usize, const LOAD: usize> Texels
+    for Separable<'_, PAIRS, TERMS, LOAD>
+{
+    #[inline(always)]
+    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], out: &mut [f32; ROW]) {
+        let spots = Spots::new(u, v, self.view, PAIRS as i64 - 1);
+        let stride = self.view.stride;
+        let [mut across, mut down] = [[[0.0_f32; ROW]; LOAD]; 2];
+        self.pieces.at(&spots.u, &mut across);
+        self.pieces.at(&spots.v, &mut down);
+
+        let last = 2 * PAIRS - 1;
+        let mut beside = [0.0_f32; ROW];
+        // Stored and not summed at once: the compiler would take the sum's order for the taps'.
+        let mut columns = [[0.0_f32; LOAD]; ROW];
+        for texel in 0..ROW {
+            let taps = &self.view.data[spots.at[texel] as usize..][..last * stride + LOAD];
+            let center = taps[(PAIRS - 1) * stride + PAIRS - 1];
+            let mut sums = [0.0_f32; LOAD];
+            for (tap, weights) in down[..=last].iter().enumerate() {
+                let line = row::<LOAD>(taps, tap * stride);
+                let weight = weights[texel];
+                for col in 0..LOAD {
+                    sums[col] += (line[col] - center) * weight;
+                }
+            }
+            columns[texel] = sums;
+            beside[texel] = center;
+        }
+        for texel in 0..ROW {
+            let mut sum = 0.0;
+            for tap in 0..=last {
+                sum += columns[texel][tap] * across[tap][texel];
+            }
+            out[texel] = beside[texel] + sum;
+        }
+    }
+}
+
+#[inline(always)]
+fn row<const LOAD: usize>(taps: &[f32], at: usize) -> &[f32; LOAD] {
+    taps[at..at + LOAD].try_into().expect("that many")
+}
+
+/// Brings texels between the least and the greatest of the `2 * pairs` taps along each axis.
+///
+/// # Panics
+///
+/// If a tap lies outside the view.
+pub(super) fn limit(pairs: usize, u: &[f64], v: &[f64], view: View<'_>, out: &mut [f32]) {
+    let taps = 2 * pairs;
+    let texels = u.chunks(ROW).zip(v.chunks(ROW)).zip(out.chunks_mut(ROW));
+    for ((u, v), out) in texels {
+        let spots = Spots::new(&padded(u), &padded(v), view, pairs as i64 - 1);
+        for (texel, &at) in out.iter_mut().zip(&spots.at) {
+            let (mut least, mut greatest) = (f32::INFINITY, f32::NEG_INFINITY);
+            for row in 0..taps {
+                for &tap in &view.data[at as usize + row * view.stride..][..taps] {
+                    least = lanes::least(tap, least);
+                    greatest = lanes::greatest(tap, greatest);
+                }
+            }
+            *texel = texel.clamp(least, greatest);
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! What is resampled: pixels by the rectangle.
+
+use std::fmt::Debug;
+use std::ops::Range;
+use std::path::Path;
+
+use areoid_formats::page::Kind;
+use areoid_formats::pyramid::Extent;
+
+use crate::raster::RasterError;
+
+/// A rectangle of a source's pixels, not empty and inside it.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Rect {
+    /// Columns.
+    pub cols: Range<u32>,
+    /// Rows, counted downward.
+    pub rows: Range<u32>,
+}
+
+/// Where pixels go. The planes begin with a rectangle's first pixel.
+#[derive(Debug)]
+pub enum Pixels<'a> {
+    /// Meters.
+    Heights(&'a mut [f32]),
+    /// sRGB codes.
+    Colors {
+        /// Red, green and blue.
+        planes: [&'a mut [u8]; 3],
+        /// Alpha, at least 1 where there is data.
+        alpha: &'a mut [u8],
+    },
+}
+
+/// A raster, or several on one grid, over whatever cache of blocks.
+///
+/// # Contract
+///
+/// * Any thread may call anything at any time.
+/// * [`Self::read`] writes finite heights, or codes and their alpha, where there is data, and
+///   leaves pixels as they were where there is none: no sentinel ever comes out.
+/// * Each of the rectangles that [`PreparedSource::reads`](super::prepare::PreparedSource::reads)
+///   lists for a tile is read once for every time the tile is made, which is once if its uses were
+///   announced.
+pub trait Source: Send + Sync + Debug {
+    /// Its pixels, and what continues them past their edges.
+    fn extent(&self) -> Extent;
+
+    /// Heights, or colors.
+    fn kind(&self) -> Kind;
+
+    /// What errors name.
+    fn path(&self) -> &Path;
+
+    /// Lays the pixels of `rect` over planes whose rows are `stride` apart.
+    ///
+    /// # Errors
+    ///
+    /// [`RasterError`] if a block cannot be read.
+    fn read(&self, rect: &Rect, pixels: Pixels<'_>, stride: usize) -> Result<(), RasterError>;
+}
+
+/// The twin in memory.
+#[cfg(test)]
+pub(crate) mod test_support {
+    use super::*;
+    use std::sync::Mutex;
+
+    /// Pixels in memory: heights that are NaN where there are none, or codes.
+    #[derive(Debug)]
+    pub(crate) struct InMemory {
+        pub(crate) extent: Extent,
+        pub(crate) heights: Vec<f32>,
+        /// Red, green, blue and alpha of each pixel, of a source of colors.
+        pub(crate) colors: Option<Vec<[u8; 4]>>,
+        /// The rectangles that were read.
+        pub(crate) read: Mutex<Vec<Rect>>,
+    }
+
+    impl InMemory {
+        /// Heights by column and row.
+        pub(crate) fn heights(extent: Extent, height: impl Fn(u32, u32) -> f32) -> Self {
+            let pixels = (0..extent.height)
+                .flat_map(|row| (0..extent.width).map(move |col| (col, row)))
+                .map(|(col, row)| height(col, row));
+            Self { extent, heights: pixels.collect(), colors: None, read: Mutex::default() }
+        }
+
+        /// Colors by column and row.
+        pub(crate) fn colors(extent: Extent, color: impl Fn(u32, u32) -> [u8; 4]) -> Self {
+            let pixels = (0..extent.height)
+                .flat_map(|row| (0..extent.width).map(move |col| (col, row)))
+                .map(|(col, row)| color(col, row));
+            let colors = Some(pixels.collect());
+            Self { extent, heights: Vec::new(), colors, read: Mutex::default() }
+        }
+    }
+
+    impl Source for InMemory {
+        fn extent(&self) -> Extent {
+            self.extent
+        }
+
+        fn kind(&self) -> Kind {
+            if self.colors.is_some() { Kind::Color } else { Kind::Height }
+        }
+
+        fn path(&self) -> &Path {
+            Path::new("memory.tif")
+        }
+
+        fn read(&self, rect: &Rect, pixels: Pixels<'_>, stride: usize) -> Result<(), RasterError> {
+            self.read.lock().unwrap().push(rect.clone());
+            let places = rect.rows.clone().enumerate().flat_map(|(down, row)| {
+                rect.cols.clone().enumerate().map(move |(right, col)| {
+                    (
+                        down * stride + right,
+                        row as usize * self.extent.width as usize + col as usize,
+                    )
+                })
+            });
+            match pixels {
+                Pixels::Heights(out) => {
+                    for (to, from) in places.filter(|&(_, from)| !self.heights[from].is_nan()) {
+                        out[to] = self.heights[from];
+                    }
+                }
+                Pixels::Colors { planes, alpha } => {
+                    let colors = self.colors.as_ref().expect("a source of colors");
+                    for (to, from) in places.filter(|&(_, from)| colors[from][3] != 0) {
+                        for channel in 0..3 {
+                            planes[channel][to] = colors[from][channel];
+                        }
+                        alpha[to] = colors[from][3];
+                    }
+                }
+            }
+            Ok(())
+        }
+    }
+}
