@@ -66,6 +66,10 @@ impl Window {
     /// # Errors
     ///
     /// [`RasterError`] if a tile cannot be made.
+    ///
+    /// # Panics
+    ///
+    /// If the range is none.
     pub fn assemble(
         &mut self,
         source: &PreparedSource,

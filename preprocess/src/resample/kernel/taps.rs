@@ -194,9 +194,9 @@ impl<const PAIRS: usize, const TERMS: usize, const LOAD: usize> Texels
             let taps = &self.view.data[spots.at[texel] as usize..][..last * stride + LOAD];
             let center = taps[(PAIRS - 1) * stride + PAIRS - 1];
             let mut sums = [0.0_f32; LOAD];
-            for tap in 0..=last {
+            for (tap, weights) in down[..=last].iter().enumerate() {
                 let line = row::<LOAD>(taps, tap * stride);
-                let weight = down[tap][texel];
+                let weight = weights[texel];
                 for col in 0..LOAD {
                     sums[col] += (line[col] - center) * weight;
                 }
@@ -219,25 +219,24 @@ fn row<const LOAD: usize>(taps: &[f32], at: usize) -> &[f32; LOAD] {
     taps[at..at + LOAD].try_into().expect("that many")
 }
 
-/// Brings texels between the least and the greatest of the `2 * pairs` taps along each axis.
+/// Brings texels between the least and the greatest of the `2 * reach` pixels around them along
+/// columns and along rows.
 ///
 /// # Panics
 ///
-/// If a tap lies outside the view.
-pub(super) fn limit(pairs: usize, u: &[f64], v: &[f64], view: View<'_>, out: &mut [f32]) {
-    let taps = 2 * pairs;
-    let texels = u.chunks(ROW).zip(v.chunks(ROW)).zip(out.chunks_mut(ROW));
-    for ((u, v), out) in texels {
-        let spots = Spots::new(&padded(u), &padded(v), view, pairs as i64 - 1);
-        for (texel, &at) in out.iter_mut().zip(&spots.at) {
-            let (mut least, mut greatest) = (f32::INFINITY, f32::NEG_INFINITY);
-            for row in 0..taps {
-                for &tap in &view.data[at as usize + row * view.stride..][..taps] {
-                    least = lanes::least(tap, least);
-                    greatest = lanes::greatest(tap, greatest);
-                }
+/// If one lies outside the view.
+pub(super) fn limit(reach: [i64; 2], u: &[f64], v: &[f64], view: View<'_>, out: &mut [f32]) {
+    let [cols, rows] = reach.map(|reach| usize::try_from(2 * reach).expect("not negative"));
+    let [left, above] = reach.map(|reach| (1 - reach) as f64);
+    for ((&u, &v), texel) in u.iter().zip(v).zip(out) {
+        let first = view.index(u.floor() + left, v.floor() + above);
+        let (mut least, mut greatest) = (f32::INFINITY, f32::NEG_INFINITY);
+        for row in 0..rows {
+            for &pixel in &view.data[first + row * view.stride..][..cols] {
+                least = lanes::least(pixel, least);
+                greatest = lanes::greatest(pixel, greatest);
             }
-            *texel = texel.clamp(least, greatest);
         }
+        *texel = texel.clamp(least, greatest);
     }
 }

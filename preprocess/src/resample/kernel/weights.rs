@@ -106,6 +106,7 @@ pub(super) const QUINTIC_SPLINE: Pieces<3, 3> = Pieces {
 ///
 /// Polynomials through Chebyshev's nodes: within 1.5e-7 of the kernel. Their sum is 1, and the
 /// first moment of [`LANCZOS`] 0, within 1e-11 before they are rounded to f32.
+#[expect(clippy::excessive_precision, reason = "digits enough to see that they sum to 1")]
 pub(super) const PLAIN_LANCZOS: Pieces<3, 5> = Pieces {
     even: [
         [0.024_456_545_7, -0.088_125_733_6, -0.056_857_512_7, 0.078_069_118_4, -0.023_390_608_1],
@@ -121,6 +122,7 @@ pub(super) const PLAIN_LANCZOS: Pieces<3, 5> = Pieces {
 
 /// The same, with d² (a + b d) added to the weight of a tap at distance d so that the first moment
 /// is 0 and linear ramps stay what they are, to which plain Lanczos is off by 1 % of a pixel.
+#[expect(clippy::excessive_precision, reason = "digits enough to see that they sum to 1")]
 pub(super) const LANCZOS: Pieces<3, 5> = Pieces {
     even: [
         [0.024_456_540_6, -0.088_124_687_4, -0.053_974_091_7, 0.064_444_957_5, -0.015_093_128_2],

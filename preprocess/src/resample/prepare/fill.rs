@@ -1,13 +1,29 @@
 //! Values where there is no data, so that kernels need not ask.
 //!
-//! Ring by ring, a pixel beside others takes the mean of those of its eight neighbors that have a
-//! value, and beyond the last ring a row repeats what it had last. Texels in a hole are masked
-//! afterward; what is filled in reaches the valid ones beside it through the taps of a kernel, where
-//! it does what leaving those taps out would do, and farther only through a spline's coefficients,
-//! by less than a pole's power.
+//! Ring by ring, a pixel beside others takes the mean of what each of its eight neighbors that has a
+//! value makes of it, diagonal ones counting half, and beyond the last ring a row repeats what it
+//! had last. Texels in a hole are masked afterward; what is filled in reaches the valid ones beside
+//! it through the taps of a kernel, and farther only through a spline's coefficients, by less than a
+//! pole's power.
 //!
-//! A mean of equal values is that value to the bit. A mean, and not a slope continued: that would
-//! double the noise of the rim at every ring.
+//! ```text
+//!     c   b   a   ?      ? = a + the smaller of a - b and b - c, or a alone if they differ in sign
+//!     valid       hole
+//! ```
+//!
+//! Where the terrain is smooth its slope goes on; where it is rough, nothing does, as if the missing
+//! taps were left out of the kernel. RMS errors in % of a wave, cubic kernel, texels within 4 pixels
+//! of round holes (GDAL 3.13 falls back to bilinear there and renormalizes):
+//!
+//! | pixels a wave | 273 | 64 | 16 | 8 | 4 | 2.5 |
+//! |---|---|---|---|---|---|---|
+//! | taps left out, as GDAL does | .136 | .61 | 2.5 | 5.8 | 15.8 | 38.9 |
+//! | slope goes on always | .017 | .09 | 1.0 | 3.5 | 12.2 | 36.2 |
+//! | slope goes on where it did | .017 | .11 | 1.2 | 3.8 | 11.6 | 34.6 |
+//!
+//! Equal values, and ramps of whole numbers, go on to the bit.
+
+use areoid_formats::lanes;
 
 /// Fills in the pixels whose `alpha` is 0 of rows of `width`: what stands there is not looked at.
 ///
@@ -19,7 +35,7 @@ pub(super) fn fill(pixels: &mut [f32], alpha: &[u8], width: usize, rings: usize,
     rim(known, width, next);
     for _ring in 0..rings {
         values.clear();
-        values.extend(next.iter().map(|&at| mean(pixels, known, width, at)));
+        values.extend(next.iter().map(|&at| guess(pixels, known, width, at)));
         for (&at, &value) in next.iter().zip(&*values) {
             pixels[at] = value;
             known[at] = true;
@@ -50,17 +66,21 @@ pub(super) struct Room {
 /// The pixels without a value that lie beside one that has one.
 fn rim(known: &[bool], width: usize, rim: &mut Vec<usize>) {
     rim.clear();
-    let is_known = |at: usize| known[at];
-    for (row, line) in known.chunks_exact(width).enumerate() {
-        if line.iter().all(|&known| known) {
+    let rows = known.len() / width;
+    let line = |row: usize| &known[row * width..][..width];
+    // Whether there is one in a column of three, with a column more on either side.
+    let mut near = vec![false; width + 2];
+    for row in 0..rows {
+        let here = line(row);
+        if lanes::none(here, |known| !known) {
             continue;
         }
-        let unknown = line.iter().enumerate().filter(|&(_, &known)| !known);
-        rim.extend(
-            unknown
-                .map(|(col, _)| row * width + col)
-                .filter(|&at| around(at, width, known.len()).any(is_known)),
-        );
+        let (above, below) = (line(row.saturating_sub(1)), line((row + 1).min(rows - 1)));
+        for col in 0..width {
+            near[col + 1] = above[col] | here[col] | below[col];
+        }
+        let beside = |col: usize| near[col] | near[col + 1] | near[col + 2];
+        rim.extend((0..width).filter(|&col| !here[col] & beside(col)).map(|col| row * width + col));
     }
 }
 
@@ -73,13 +93,46 @@ fn around(at: usize, width: usize, len: usize) -> impl Iterator<Item = usize> {
         .filter(move |&beside| beside != at)
 }
 
-fn mean(pixels: &[f32], known: &[bool], width: usize, at: usize) -> f32 {
-    let values = around(at, width, known.len()).filter(|&beside| known[beside]);
-    let (sum, count) = values
-        .fold((0.0, 0.0), |(sum, count), beside| (sum + f64::from(pixels[beside]), count + 1.0));
+/// What the neighbors that have a value make of a pixel.
+fn guess(pixels: &[f32], known: &[bool], width: usize, at: usize) -> f32 {
+    let (row, col) = (at / width, at % width);
+    let (mut sum, mut weights) = (0.0, 0.0);
+    for beside in around(at, width, known.len()).filter(|&beside| known[beside]) {
+        let (down, right) = (beside / width, beside % width);
+        let weight = if down == row || right == col { 1.0 } else { 0.5 };
+        // The value `steps` away on the line through both.
+        let along = |steps: usize| {
+            let index = |from: usize, one: usize, len: usize| {
+                let index = (from + steps * one).checked_sub(steps * from);
+                index.filter(|&index| index < len)
+            };
+            let (row, col) = (index(row, down, known.len() / width)?, index(col, right, width)?);
+            let at = row * width + col;
+            known[at].then(|| f64::from(pixels[at]))
+        };
+        let a = f64::from(pixels[beside]);
+        let slope = match (along(2), along(3)) {
+            (Some(b), Some(c)) => smaller(a - b, b - c),
+            (Some(b), None) => 0.5 * (a - b),
+            (None, _) => 0.0,
+        };
+        sum += weight * (a + slope);
+        weights += weight;
+    }
     #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is the point")]
-    let mean = (sum / count) as f32;
-    mean
+    let guess = (sum / weights) as f32;
+    guess
+}
+
+/// The slope nearer to 0, or 0 between slopes that differ in sign.
+fn smaller(a: f64, b: f64) -> f64 {
+    if a * b <= 0.0 {
+        0.0
+    } else if a.abs() < b.abs() {
+        a
+    } else {
+        b
+    }
 }
 
 /// Gives what is left in a row the value to its left, or the first one in the row or of all.
@@ -105,12 +158,23 @@ mod tests {
         let mut alpha = [255; 9];
         alpha[4] = 0;
         fill(&mut pixels, &alpha, 3, 2, &mut Room::default());
-        assert_eq!(pixels[4], 45.0 / 8.0);
+        assert_eq!(pixels[4], (2.0 + 4.0 + 6.0 + 8.0 + 0.5 * (1.0 + 3.0 + 7.0 + 14.0)) / 6.0);
 
         let mut pixels = vec![1234.567_f32; 400];
         let alpha: Vec<u8> = (0..400).map(|at| u8::from(at % 7 == 0 && at % 20 < 9)).collect();
         fill(&mut pixels, &alpha, 20, 2, &mut Room::default());
         assert!(pixels.iter().all(|pixel| pixel.to_bits() == 1234.567_f32.to_bits()));
+    }
+
+    #[test]
+    fn slopes_go_on_into_a_hole() {
+        let ramp = |at: usize| (3 * (at % 30)) as f32 - (at / 30) as f32;
+        let is_hole = |at: usize| (11..17).contains(&(at % 30)) && (9..15).contains(&(at / 30));
+        let mut pixels: Vec<f32> =
+            (0..900).map(|at| if is_hole(at) { 1e30 } else { ramp(at) }).collect();
+        let alpha: Vec<u8> = (0..900).map(|at| u8::from(!is_hole(at))).collect();
+        fill(&mut pixels, &alpha, 30, 3, &mut Room::default());
+        assert!((0..900).all(|at| pixels[at] == ramp(at)));
     }
 
     #[test]
@@ -135,7 +199,8 @@ mod tests {
             };
             let (one, other) = (filled(1e30), filled(f32::NAN));
             prop_assert_eq!(&one, &other);
-            prop_assert!(one.iter().all(|&pixel| (0.0..29.0).contains(&pixel)));
+            // Every ring adds a slope at most.
+            prop_assert!(one.iter().all(|&pixel| pixel.abs() < 29.0 * 6.0));
             for at in (0..60).filter(|&at| valid[at]) {
                 prop_assert_eq!(one[at], (at * 37 % 29) as f32);
             }

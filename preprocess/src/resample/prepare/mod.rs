@@ -342,8 +342,8 @@ impl PreparedSource {
                 self.source.read(&piece.rect(), pixels, cols)?;
                 for (to, from) in places() {
                     alpha[to] = flipped.alpha[from];
-                    for channel in 0..3 {
-                        codes[channel][to] = flipped.codes[channel][from];
+                    for (codes, flipped) in codes.iter_mut().zip(&flipped.codes) {
+                        codes[to] = flipped[from];
                     }
                 }
             }

@@ -159,8 +159,9 @@ mod tests {
         for pivot in 0..n {
             for row in pivot + 1..n {
                 let factor = matrix[row][pivot] / matrix[pivot][pivot];
-                for col in pivot..=n {
-                    matrix[row][col] -= factor * matrix[pivot][col];
+                let line = matrix[pivot].clone();
+                for (at, above) in matrix[row].iter_mut().zip(line).skip(pivot) {
+                    *at -= factor * above;
                 }
             }
         }

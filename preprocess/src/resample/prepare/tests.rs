@@ -118,7 +118,11 @@ fn halos_are_the_extended_source() {
 #[test]
 fn each_tile_is_made_once_of_what_it_says_it_reads() {
     let pixel = |col: u32, row: u32| {
-        if (col / 70 + row / 90) % 3 == 0 { f32::NAN } else { noise(col.into(), row.into()) }
+        if (col / 70 + row / 90).is_multiple_of(3) {
+            f32::NAN
+        } else {
+            noise(col.into(), row.into())
+        }
     };
     let source = Arc::new(InMemory::heights(extent(600, 300, PoleContact::Outline), pixel));
     let spill = Arc::new(MemorySpill::default());
@@ -162,7 +166,7 @@ fn each_tile_is_made_once_of_what_it_says_it_reads() {
 #[test]
 fn memory_used_again_leaks_nothing() {
     const SENTINEL: f32 = 1e30;
-    let is_hole = |col: u32, row: u32| (col / 5 + row / 3) % 4 == 0;
+    let is_hole = |col: u32, row: u32| (col / 5 + row / 3).is_multiple_of(4);
     let pixel = move |col: u32, row: u32| match (row < 256, is_hole(col, row)) {
         (true, _) => SENTINEL,
         (false, true) => f32::NAN,
