@@ -94,7 +94,9 @@ fn wave(pixels: f64) -> impl Fn(Geographic) -> f32 {
     let k = 512.0 / pixels;
     move |place| {
         let [x, y, z] = surface_normal(place).to_array();
-        (100.0 * (k * (0.48 * x - 0.6 * y + 0.64 * z) + 1.0).sin()) as f32
+        #[expect(clippy::cast_possible_truncation, reason = "a height")]
+        let height = (100.0 * (k * (0.48 * x - 0.6 * y + 0.64 * z) + 1.0).sin()) as f32;
+        height
     }
 }
 
