@@ -1,4 +1,4 @@
-//! A leaf of the target: tile by tile, with a ring around it to hold it against the source.
+//! A leaf of the target, tile by tile.
 
 use std::cell::RefCell;
 
@@ -25,7 +25,7 @@ struct Room {
     sampled: Sampled,
 }
 
-/// Texels of a leaf and of the ring around it, in a page's layout.
+/// Texels of a leaf, in a page's layout.
 struct Canvas {
     side: usize,
     /// Meters, or amounts of light.
@@ -70,8 +70,8 @@ impl Resampler {
         let pyramid = self.grid.pyramid();
         let side = pyramid.page_side() as usize;
         let (height, width) = pyramid.interior_size(page);
-        let [top, left] = [page.row, page.col].map(|at| i64::from(at * pyramid.interior()) - 1);
-        let (rows, cols) = (top..top + i64::from(height) + 2, left..left + i64::from(width) + 2);
+        let [top, left] = [page.row, page.col].map(|at| i64::from(at * pyramid.interior()));
+        let (rows, cols) = (top..top + i64::from(height), left..left + i64::from(width));
         let channels = self.prepared.channels();
         let mut canvas: Option<Canvas> = None;
         for tile in self.transform.tiles(rows, cols) {
@@ -84,7 +84,7 @@ impl Resampler {
                 alpha: vec![0; side * side],
             });
             let [row, col] = [tile.row - top, tile.col - left]
-                .map(|at| usize::try_from(at).expect("tiles lie in the leaf"));
+                .map(|at| usize::try_from(at).expect("tiles lie in the leaf") + 1);
             canvas.lay(row * side + col, tile, &room.sampled);
         }
         Ok(canvas)
