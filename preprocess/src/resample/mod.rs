@@ -122,7 +122,11 @@ fn sources(
     let rasters = Arc::new(rasters);
     let source = Arc::clone(&rasters) as Arc<dyn Source>;
     let uses_of = |col: u32, row: u32| uses[row as usize * columns + col as usize];
-    let mut prepared = PreparedSource::new(source, filter, Beside::Nothing, uses_of);
+    let beside = match resampling.limit {
+        RangeLimit::None => Beside::Nothing,
+        RangeLimit::Taps => Beside::Pixels,
+    };
+    let mut prepared = PreparedSource::new(source, filter, beside, uses_of);
     overflow.into_iter().for_each(|overflow| prepared.spill(overflow));
     (rasters, prepared)
 }
