@@ -202,19 +202,25 @@ fn fingerprint(
 ) -> Result<SourceFile, IngestError> {
     let failed = |source: io::Error| CatalogError::io("read", path, source);
     let mut file = File::open(path).map_err(failed)?;
+    // What comes next is read while this is hashed.
     let (mut hash, mut bytes) = (Xxh3::new(), 0);
-    let mut buffer = vec![0; 1 << 20];
-    loop {
-        let read = file.read(&mut buffer).map_err(failed)?;
-        if read == 0 {
-            break;
-        }
-        hash.update(&buffer[..read]);
-        bytes += read as u64;
-        count(read as u64)?;
+    let (mut here, mut next) = (Vec::new(), Vec::new());
+    read_chunk(&mut file, &mut here).map_err(failed)?;
+    while !here.is_empty() {
+        let (read, ()) = rayon::join(|| read_chunk(&mut file, &mut next), || hash.update(&here));
+        read.map_err(failed)?;
+        bytes += here.len() as u64;
+        count(here.len() as u64)?;
+        std::mem::swap(&mut here, &mut next);
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     Ok(SourceFile { name, bytes, xxh3: format!("{:032x}", hash.digest128()) })
+}
+
+/// Fills `chunk` with what comes next of a file; it ends up empty at the end.
+fn read_chunk(file: &mut File, chunk: &mut Vec<u8>) -> io::Result<usize> {
+    chunk.clear();
+    file.take(2 << 20).read_to_end(chunk)
 }
 
 /// Opens the rasters that `archive` was made from, as it was made from them.

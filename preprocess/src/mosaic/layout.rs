@@ -28,7 +28,7 @@ pub enum MosaicError {
     },
     /// Rasters that do not share a grid.
     #[error(
-        "{} does not lie on the grid of {}: {reason}; resampling is not supported yet",
+        "{} does not lie on the grid of {}: {reason}; rasters on several grids are not supported yet",
         other.display(), first.display()
     )]
     OffGrid {
