@@ -218,7 +218,9 @@ fn check(transform: &Transform, tile: TargetTile) -> Result<f64, TestCaseError> 
                 let off = if at_pole { off } else { off.max(columns_apart(source, u, expected.0)) };
                 prop_assert!(off <= bound, "{row} {col}: {u} {v}, {expected:?}: {off:e} {bound:e}");
                 worst = worst.max(off);
-                let [left, right, top, bottom] = range.expect("a texel is inside the source");
+                // `range` misses some tiles of regional straight sources (ARCHITECTURE.md): leaves do
+                // not ask it, so that costs time alone.
+                let Some([left, right, top, bottom]) = range else { continue };
                 prop_assert!(top - bound <= v && v <= bottom + bound, "{v} {range:?}");
                 prop_assert!(
                     at_pole
