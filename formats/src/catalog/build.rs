@@ -163,6 +163,20 @@ impl<'a> Build<'a> {
         self.disk.remove(&path).map_err(|source| CatalogError::io("remove", &path, source))
     }
 
+    /// Waits, whenever it is called, until what the archive is by then is on the medium.
+    ///
+    /// An error that it returns is lost to whoever else waits: the build must not be published.
+    ///
+    /// # Errors
+    ///
+    /// [`CatalogError::Io`].
+    pub fn syncing(&self) -> Result<impl Fn() -> io::Result<()> + Send + use<'a>, CatalogError> {
+        let file = self.file.try_clone();
+        let file = file.map_err(|source| CatalogError::io("sync", &self.path(), source))?;
+        let disk = self.disk;
+        Ok(move || disk.sync_file(&file))
+    }
+
     /// Waits until the archive is on the medium.
     pub(super) fn sync(&self) -> Result<(), CatalogError> {
         let synced = self.disk.sync_file(&self.file);

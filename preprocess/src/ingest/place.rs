@@ -2,6 +2,8 @@
 
 use std::io::{self, BufWriter, Write};
 use std::sync::Arc;
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread;
 
 use areoid_formats::archive::{Description, Written};
 use areoid_formats::catalog::Build;
@@ -22,23 +24,38 @@ use crate::scratch::{Aside, Scratch};
 /// to the file without a copy.
 const WRITTEN_TOGETHER: usize = 32 << 10;
 
+/// Bytes after which what is written is brought to the medium, so that the last sync has little to
+/// wait for.
+const SYNCED_TOGETHER: usize = 8 << 20;
+
 /// A build's archive, written in large pieces.
-struct Buffered<'a, 'b>(BufWriter<&'a mut Build<'b>>);
+struct Buffered<'a, 'b> {
+    sink: BufWriter<&'a mut Build<'b>>,
+    /// Bytes since the last sync was asked for.
+    unsynced: usize,
+    sync: SyncSender<()>,
+}
 
 impl Write for Buffered<'_, '_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.write(bytes)
+        let written = self.sink.write(bytes)?;
+        self.unsynced += written;
+        // While one sync is waited for, the next is put off.
+        if self.unsynced >= SYNCED_TOGETHER && self.sync.try_send(()).is_ok() {
+            self.unsynced = 0;
+        }
+        Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.0.flush()
+        self.sink.flush()
     }
 }
 
 impl Site for Buffered<'_, '_> {
     fn note(&mut self, note: &[u8]) -> io::Result<()> {
-        self.0.flush()?;
-        self.0.get_mut().note(note).map_err(io::Error::other)
+        self.sink.flush()?;
+        self.sink.get_mut().note(note).map_err(io::Error::other)
     }
 }
 
@@ -84,18 +101,32 @@ pub(super) fn write(
     let frontier_bytes = spare_bytes - spare_bytes / 4;
     let means = Means { scratch, frontier_bytes, note_every: request.note_every };
     let origin = &*origin;
-    let site = Buffered(BufWriter::with_capacity(WRITTEN_TOGETHER, build));
-    let built = threads.install(|| {
-        let watch = |progress| watch(Event::Building(progress));
-        build::build(description, origin, site, &means, begun, watch)
+    let sync_now = build.syncing()?;
+    let built = thread::scope(|scope| {
+        let (sync, asked) = sync_channel(0);
+        let synced = scope.spawn(move || asked.into_iter().try_for_each(|()| sync_now()));
+        let sink = BufWriter::with_capacity(WRITTEN_TOGETHER, build);
+        let site = Buffered { sink, unsynced: 0, sync };
+        let built = threads.install(|| {
+            let watch = |progress| watch(Event::Building(progress));
+            build::build(description, origin, site, &means, begun, watch)
+        });
+        let built = built.and_then(|(Buffered { sink, .. }, written)| match sink.into_inner() {
+            Ok(_) => Ok(written),
+            Err(error) => Err(BuildError::Write(error.into_error())),
+        });
+        match synced.join() {
+            Ok(synced) => {
+                built.and_then(|written| synced.map(|()| written).map_err(BuildError::Write))
+            }
+            Err(panic) => std::panic::resume_unwind(panic),
+        }
     });
     if !matches!(built, Err(BuildError::Interrupted)) {
         // Rasters that changed say why they could not be read.
         origin.check_unchanged()?;
     }
-    let (site, written) = built.map_err(failed)?;
-    site.0.into_inner().map_err(|error| failed(BuildError::Write(error.into_error())))?;
-    Ok(written)
+    built.map_err(failed)
 }
 
 /// What a step of the build needs beside the pages that wait, in bytes: its leaves and those of the

@@ -93,6 +93,9 @@ impl Resampler {
     /// Samples a tile into the room; false if none of its texels can be valid.
     fn sample(&self, tile: TargetTile, room: &mut Room) -> Result<bool, RasterError> {
         let Room { coords, window, scratch, sampled } = room;
+        if self.transform.range(tile).is_none() {
+            return Ok(false);
+        }
         let footprint = self.transform.coords(tile, coords);
         let kernel = self.resampling.kernel;
         if !window.assemble(&self.prepared, coords.range, kernel.reach(footprint))? {

@@ -1,5 +1,7 @@
 //! Both maps draw meridians and parallels as straight lines: columns from columns, rows from rows.
 
+use areoid_formats::geodesy::Geographic;
+
 use super::exact::{NOWHERE, Pair};
 use crate::resample::tile::{Coords, TILE, TargetTile};
 
@@ -17,7 +19,10 @@ impl Cylindrical {
     pub(super) fn new(pair: &Pair) -> Self {
         let (target, source) = (&pair.target, &pair.source);
         let extent = target.pyramid().extent();
-        let mid_row = f64::from(extent.height / 2);
+        // Columns are the same in all rows, but on a pole, where longitude says nothing.
+        let equator = target.crs().project(Geographic::default());
+        let equator = equator.expect("maps of straight meridians draw the equator");
+        let equator_row = (target.origin()[1] - equator.y) / target.pixel_size()[1] - 0.5;
         // Turns of longitude to a column; where both maps are one, the ratio of their pixels.
         let turns_per_col =
             target.crs().wraps_with_period().map(|turn| target.pixel_size()[0] / turn);
@@ -31,7 +36,7 @@ impl Cylindrical {
             (pair.exact(row as f64, 0.0).map_or(NOWHERE, |(_, v)| v), turned)
         };
         Self {
-            start: pair.exact(mid_row, 0.0).map_or(NOWHERE, |(u, _)| u),
+            start: pair.exact(equator_row, 0.0).map_or(NOWHERE, |(u, _)| u),
             per_col,
             rows: (-1..=i64::from(extent.height)).map(row).collect(),
         }
