@@ -107,11 +107,11 @@ impl Radial {
 
     /// V within `half` of `middle`, columns of the target, to the tolerance.
     pub(super) fn fit(&self, pair: &Pair, middle: f64, half: f64) -> Option<Polynomial> {
+        // A tile of one texel has no width; no interval reaches past the pole, where V turns.
+        let half = half.max(0.5_f64.min(middle / 4.0));
         let count = [Polynomial::SHORT, Polynomial::LONG]
             .into_iter()
             .find(|&count| self.bound(half, count).is_some_and(|rows| rows <= self.tolerance))?;
-        // A tile of one texel has no width.
-        let half = half.max(0.5);
         let mut nodes = [0.0; Polynomial::LONG];
         let mut rows = [0.0; Polynomial::LONG];
         for at in 0..count {
@@ -124,7 +124,6 @@ impl Radial {
 
     /// The most that interpolation in `count` nodes leaves, in rows.
     fn bound(&self, half: f64, count: usize) -> Option<f64> {
-        let half = half.max(0.5);
         let (ratio, n) = (self.scale / half, count as f64);
         let power = i32::try_from(count).expect("a polynomial is short");
         let angle = self.rows_per_radian * ratio.powi(-power) / (n * 2.0_f64.powi(power - 2));

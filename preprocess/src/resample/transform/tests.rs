@@ -313,6 +313,53 @@ proptest! {
     }
 }
 
+/// V was interpolated from nodes on both sides of the pole, where it turns: 0.01 pixels off.
+#[test]
+fn one_texel_beside_the_pole_is_exact() {
+    let surface = (Ellipsoid::sphere(Meters(1e5)).unwrap(), LatitudeKind::Planetographic);
+    let map = PolarStereographic {
+        pole: Pole::South,
+        central_meridian: Radians(0.0),
+        scale: PolarScale::AtPole(0.9),
+        false_easting: Meters(0.0),
+        false_northing: Meters(0.0),
+    };
+    let target = Round { map, scale: 20.0, aspect: 1.0, pole: [5.8, 1.6], size: [7, 3] };
+    let source = Straight {
+        projection: Projection::Geographic,
+        on_sphere: false,
+        half_width: 200,
+        posts: false,
+        part: None,
+    };
+    let transform = transform(&target.grid(surface), &source.placement(surface));
+    for col in [5, 6] {
+        check(&transform, TargetTile { row: 2, col, rows: 1, cols: 1 }).unwrap();
+    }
+}
+
+/// Columns were taken from the middle row, which by rounding lies past the pole here: half a turn off.
+#[test]
+fn two_rows_of_posts_that_end_on_a_pole_have_their_columns() {
+    let radius = Meters(1_911_310.285_524_836_5);
+    let surface = (Ellipsoid::sphere(radius).unwrap(), LatitudeKind::Planetographic);
+    let map = |projection, posts, part| Straight {
+        projection,
+        on_sphere: false,
+        half_width: 8,
+        posts,
+        part,
+    };
+    let straight = Projection::Equirectangular(Equirectangular {
+        false_easting: Meters(1234.5),
+        ..Equirectangular::default()
+    });
+    let target = map(straight, true, Some([0.0, 0.2, 15.1 / 17.0, 0.5])).grid(surface).unwrap();
+    assert_eq!(target.pyramid().extent().height, 2, "the last of 17 rows, and the one before");
+    let source = map(Projection::Geographic, false, None).placement(surface);
+    check(&transform(&target, &source), TargetTile { row: 0, col: 0, rows: 2, cols: 3 }).unwrap();
+}
+
 /// A texel's place in the source leads back to it, to rounding: 10⁻⁹ radii of the body are so many
 /// texels.
 fn check_back(transform: &Transform, place: [f64; 2]) -> Result<(), TestCaseError> {
