@@ -13,10 +13,10 @@ pub use crate::placement::{GridError, Outline, Placement};
 
 use crate::address::{Level, PageAddress};
 use crate::geodesy::Geographic;
-use crate::placement::nominal_pixel;
-use crate::projection::{Crs, MapPoint, Pole};
+use crate::placement::{nominal_pixel, shown_at};
+use crate::projection::{Crs, MapPoint};
 use crate::pyramid::{Extent, Pyramid};
-use crate::units::{Meters, Radians};
+use crate::units::Meters;
 
 /// A place in the texels of one level.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -135,6 +135,15 @@ impl Grid {
         &self.pyramid
     }
 
+    /// Where the texels of the finest level lie on the map.
+    #[must_use]
+    pub fn placement(&self) -> Placement {
+        let Extent { width, height, wraps, north, south } = self.pyramid.extent();
+        let (crs, origin, pixel_size) = (self.crs, self.origin, self.pixel_size);
+        let dropped_columns = 0;
+        Placement { crs, origin, pixel_size, width, height, wraps, north, south, dropped_columns }
+    }
+
     /// Map units to a texel of `level`.
     #[must_use]
     pub fn pixel_size_at(&self, level: Level) -> [f64; 2] {
@@ -183,15 +192,7 @@ impl Grid {
         let [pixel_x, pixel_y] = self.pixel_size_at(level);
         let x = self.origin[0] + point.x * pixel_x;
         let y = self.origin[1] - point.y * pixel_y;
-        for pole in [Pole::North, Pole::South] {
-            let Some(y_of_pole) = self.crs.y_of_pole(pole) else { continue };
-            if pole.sign() * (y - y_of_pole) > 0.0 {
-                let near = self.crs.unproject(MapPoint { x, y: 2.0 * y_of_pole - y })?;
-                let longitude = Radians(near.longitude.0 + std::f64::consts::PI).wrapped();
-                return Some(Geographic { longitude, ..near });
-            }
-        }
-        self.crs.unproject(MapPoint { x, y })
+        shown_at(&self.crs, MapPoint { x, y })
     }
 
     /// The page whose interior holds a point of `level` and where it lies in its window. Points

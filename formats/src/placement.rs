@@ -7,9 +7,10 @@
 //! A raster that is resampled needs no pyramid of its own; what its rows and columns mean at the
 //! antimeridian and over a pole is found out here.
 
+use crate::geodesy::Geographic;
 use crate::projection::{Crs, MapPoint, Pole};
 use crate::pyramid::{Extent, PoleContact, PyramidError};
-use crate::units::Meters;
+use crate::units::{Meters, Radians};
 
 /// A rectangle of pixels on a map, as a raster's georeferencing gives it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -206,6 +207,13 @@ impl Placement {
         }
     }
 
+    /// The position shown at column `u` and row `v`, also where posts reach past a pole; `None`
+    /// outside the domain of the projection.
+    #[must_use]
+    pub fn geographic_from_pixel(&self, u: f64, v: f64) -> Option<Geographic> {
+        shown_at(&self.crs, self.map_from_pixel(u, v))
+    }
+
     /// The column and row of a place on the map, pixel centers at whole numbers.
     ///
     /// On a map that goes around the body the turn is chosen in which the column is nearest the
@@ -225,6 +233,19 @@ impl Placement {
         let middle = (f64::from(self.width) - 1.0) / 2.0;
         u - period * ((u - middle) / period).round()
     }
+}
+
+/// The position shown at a place on the map of `crs`: past a pole, half a turn away.
+pub(crate) fn shown_at(crs: &Crs, MapPoint { x, y }: MapPoint) -> Option<Geographic> {
+    for pole in [Pole::North, Pole::South] {
+        let Some(y_of_pole) = crs.y_of_pole(pole) else { continue };
+        if pole.sign() * (y - y_of_pole) > 0.0 {
+            let near = crs.unproject(MapPoint { x, y: 2.0 * y_of_pole - y })?;
+            let longitude = Radians(near.longitude.0 + std::f64::consts::PI).wrapped();
+            return Some(Geographic { longitude, ..near });
+        }
+    }
+    crs.unproject(MapPoint { x, y })
 }
 
 /// Ground meters to the shorter side of a pixel where the map of `crs` is truest.

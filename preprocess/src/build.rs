@@ -29,15 +29,16 @@ use crate::schedule::{Schedule, Step};
 use crate::scratch::Scratch;
 use crate::shop::Shop;
 use crate::texel::Texel;
-use crate::tile::Raw;
+use crate::tile::{Closed, Raw};
 use crate::whole::Payloads;
 
 /// Where leaves come from.
 ///
 /// # Contract
 ///
-/// Each leaf is either read or skipped, once, from any thread, and several at a time. The answer
-/// depends on the page alone; `None` means no valid texel.
+/// Each leaf is either read or skipped, once, and later given to [`Self::source_error`], once; from
+/// any thread, and several at a time. The answer depends on the page alone; `None` means no valid
+/// texel.
 pub trait Leaves: Sync {
     /// Reads the interior of `page`, cut at the outline.
     ///
@@ -48,6 +49,21 @@ pub trait Leaves: Sync {
 
     /// Tells that `page` will not be read.
     fn skip(&self, _page: PageAddress) {}
+
+    /// The largest distance of R_L from the source's pixels at their centers in the interior of
+    /// `page`, in meters or codes, not less than it is; `None` where leaves are those pixels until
+    /// they are rounded to the step. Without a leaf nobody asks: it is empty, or not built again.
+    ///
+    /// # Errors
+    ///
+    /// [`RasterError`] if the source cannot be read.
+    fn source_error(
+        &self,
+        _page: PageAddress,
+        _leaf: Option<&Closed<'_>>,
+    ) -> Result<Option<f32>, RasterError> {
+        Ok(None)
+    }
 
     /// Checks that what was read so far is of the source as it was when it was opened: else it would
     /// stay in an archive that a later process goes on with.
@@ -222,6 +238,10 @@ fn build_of<S: Texel, W: Site + Send>(
         && let Some(step) = schedule.next()
     {
         step.read.iter().for_each(|&leaf| leaves.skip(leaf));
+        let finest = description.grid.pyramid().finest();
+        for &leaf in step.whole.iter().filter(|page| page.level == finest) {
+            leaves.source_error(leaf, None)?;
+        }
         progress.texels_skipped += texels(description, &step);
         progress.units_done += 1;
     }
@@ -276,11 +296,12 @@ fn take<S: Texel>(
     writer: &mut ArchiveWriter<impl Write>,
     unit: usize,
 ) -> Result<(), BuildError> {
+    let measure = |page, leaf: Option<&Closed<'_>>| leaves.source_error(page, leaf);
     if (unit as u64) < writer.units() {
-        shop.take(step, raws, Payloads::Unneeded, |_| Ok(()))?;
+        shop.take(step, raws, &measure, Payloads::Unneeded, |_| Ok(()))?;
         return Ok(leaves.check_unchanged()?);
     }
-    shop.take(step, raws, Payloads::Made, |(page, whole)| match whole {
+    shop.take(step, raws, &measure, Payloads::Made, |(page, whole)| match whole {
         Some((entry, payload)) => writer.page(entry, &payload).map_err(BuildError::Write),
         None => {
             writer.empty(page);

@@ -242,8 +242,6 @@ struct Head {
     unit_log2: u64,
     /// The range of the texels, each end in the first bytes.
     range: [[u8; 4]; 2],
-    source_error: f32,
-    padding: u32,
 }
 
 impl<S: Texel> Kept<S> {
@@ -272,15 +270,12 @@ impl<S: Texel> Kept<S> {
     }
 
     fn save(&self, scratch: &Scratch) -> io::Result<Slot> {
-        let Tile { side, rows, cols, original, coverage, spans, source_error, range, .. } =
-            &self.tile;
+        let Tile { side, rows, cols, original, coverage, spans, range, .. } = &self.tile;
         let flags = [original.is_some(), coverage.is_some(), spans.is_some(), self.cells.is_some()];
         let parts = flags.iter().rev().fold(0, |parts, &flag| parts << 1 | u64::from(flag));
         let [side, rows, cols] = [*side, *rows, *cols].map(|size| size as u64);
         let unit_log2 = self.cells.as_ref().map_or(0, |cells| cells.unit_log2.into());
-        let (range_bytes, source_error, padding) = ([[0; 4]; 2], *source_error, 0);
-        let mut head =
-            Head { side, rows, cols, parts, unit_log2, range: range_bytes, source_error, padding };
+        let mut head = Head { side, rows, cols, parts, unit_log2, range: [[0; 4]; 2] };
         for (bytes, end) in head.range.iter_mut().zip([range.0, range.1]) {
             bytes[..size_of::<S>()].copy_from_slice(bytemuck::bytes_of(&end));
         }
@@ -320,9 +315,7 @@ impl<S: Texel> Kept<S> {
         let [least, greatest] =
             head.range.map(|bytes| bytemuck::pod_read_unaligned(&bytes[..size_of::<S>()]));
         let range = (least, greatest);
-        let source_error = head.source_error;
-        let tile =
-            Tile { side, rows, cols, planes, original, coverage, spans, source_error, range };
+        let tile = Tile { side, rows, cols, planes, original, coverage, spans, range };
         rest.is_empty().then_some(Self { tile, cells })
     }
 }
@@ -370,7 +363,6 @@ mod tests {
                 original: has(0).then(|| planes(3)),
                 coverage: has(1).then(|| (0..100).collect()),
                 spans: has(2).then(|| (0..S::CHANNELS).map(span).collect()),
-                source_error: 0.75,
                 range: (texels(1), texels(2)),
             },
             cells: has(3).then_some(cells),

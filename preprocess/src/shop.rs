@@ -23,10 +23,11 @@ use crate::feather::{self, Validity};
 use crate::frontier::{Frontier, Kept};
 use crate::mip::{self, Spans};
 use crate::note::{Note, NotedValidity};
+use crate::raster::RasterError;
 use crate::schedule::Step;
 use crate::scratch::{Scratch, Slot};
 use crate::texel::Texel;
-use crate::tile::{Raw, Tile};
+use crate::tile::{Closed, Raw, Tile};
 use crate::whole::{self, Payloads, Whole, WholeChild};
 
 /// What is under construction.
@@ -48,6 +49,10 @@ pub(crate) struct Shop<'a, S: Texel> {
 
 /// A page that has become whole, and what is written of it: nothing if it has no valid texel.
 pub(crate) type Finished = (PageAddress, Option<(PageEntry, Vec<u8>)>);
+
+/// Who knows how far a leaf is from its source, or is told that nobody asks.
+pub(crate) type Measure<'a> =
+    &'a (dyn Fn(PageAddress, Option<&Closed<'_>>) -> Result<Option<f32>, RasterError> + Sync);
 
 impl<'a, S: Texel> Shop<'a, S> {
     pub(crate) fn new(
@@ -133,11 +138,13 @@ impl<'a, S: Texel> Shop<'a, S> {
         before.into_iter().for_each(|slot| self.scratch.free(slot));
     }
 
-    /// Does a step. `give` gets the pages that became whole, in order.
+    /// Does a step. `measure` is asked for the source error of each leaf that becomes whole; `give`
+    /// gets the pages that did, in order.
     pub(crate) fn take(
         &mut self,
         step: &Step,
         raws: Vec<(PageAddress, Option<Raw>)>,
+        measure: Measure<'_>,
         payloads: Payloads,
         mut give: impl FnMut(Finished) -> Result<(), BuildError>,
     ) -> Result<(), BuildError> {
@@ -158,7 +165,7 @@ impl<'a, S: Texel> Shop<'a, S> {
         for level in step.whole.chunk_by(|one, other| one.level == other.level) {
             for pages in level.chunks(together) {
                 self.fetch(&[], pages)?;
-                for finished in self.finish_pages(pages, payloads)? {
+                for finished in self.finish_pages(pages, measure, payloads)? {
                     give(finished)?;
                 }
                 self.frontier.shrink(&HashSet::new()).map_err(BuildError::Scratch)?;
@@ -214,15 +221,14 @@ impl<'a, S: Texel> Shop<'a, S> {
         for (page, raw) in raws {
             let (rows, cols) = pyramid.interior_size(page);
             let (rows, cols) = (rows as usize, cols as usize);
-            let Some(Raw { planes, alpha, source_error }) = raw else {
+            let Some(Raw { planes, alpha }) = raw else {
                 self.validity.insert(page, Validity::Empty);
                 continue;
             };
             let planes = S::channels(planes, alpha.as_deref());
             let (original, spans, range) = (None, None, S::NOTHING);
             let coverage = alpha;
-            let tile =
-                Tile { side, rows, cols, planes, original, coverage, spans, source_error, range };
+            let tile = Tile { side, rows, cols, planes, original, coverage, spans, range };
             let validity = tile.coverage.as_ref().map_or(Validity::Full, |alpha| {
                 Validity::of(cols, (0..rows).map(|row| &alpha[tile.row(row)]))
             });
@@ -296,9 +302,11 @@ impl<'a, S: Texel> Shop<'a, S> {
     fn finish_pages(
         &mut self,
         pages: &[PageAddress],
+        measure: Measure<'_>,
         payloads: Payloads,
     ) -> Result<Vec<Finished>, BuildError> {
         let pyramid = self.pyramid();
+        let are_leaves = pages[0].level == pyramid.finest();
         let tile_of = |page| self.frontier.get(page).map(|kept| &kept.tile);
         let quantum = self.description.quantum;
         let borders: Vec<(PageAddress, Border<S>)> = pages
@@ -315,9 +323,16 @@ impl<'a, S: Texel> Shop<'a, S> {
                 self.frontier.insert(*page, Kept { tile, cells: None });
             }
         }
+        if are_leaves {
+            let empty = pages.par_iter().filter(|&&page| self.frontier.get(page).is_none());
+            empty.try_for_each(|&page| measure(page, None).map(|_| ()))?;
+        }
         let wholes = self.change(borders, |shop, page, border, kept| {
             kept.tile.close(&border);
-            let Whole { entry, payload, cells, range } = shop.finish(page, &kept.tile, payloads)?;
+            let source_error =
+                if are_leaves { measure(page, Some(&kept.tile.closed()))? } else { None };
+            let Whole { entry, payload, cells, range } =
+                shop.finish(page, &kept.tile, source_error, payloads)?;
             kept.cells = cells;
             kept.tile.range = range;
             Ok((entry, payload))
@@ -337,6 +352,7 @@ impl<'a, S: Texel> Shop<'a, S> {
         &self,
         page: PageAddress,
         tile: &Tile<S>,
+        source_error: Option<f32>,
         payloads: Payloads,
     ) -> Result<Whole<S>, BuildError> {
         let children: Vec<WholeChild<'_, S>> = self
@@ -349,7 +365,7 @@ impl<'a, S: Texel> Shop<'a, S> {
                 Some(WholeChild { row, col, tile, cells: cells.as_ref(), entry })
             })
             .collect();
-        whole::finish(self.description, page, tile, &children, payloads)
+        whole::finish(self.description, page, tile, &children, source_error, payloads)
             .map_err(|source| BuildError::Encode { page, source })
     }
 }

@@ -14,7 +14,7 @@ use std::ops::Range;
 
 use areoid_formats::bound::Span;
 
-use crate::texel::{Planes, Texel};
+use crate::texel::{Planes, PlanesView, Texel};
 
 /// A leaf as read. Outside the interior nothing is said.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,9 +24,6 @@ pub struct Raw {
     /// Alpha beside each texel, or `None` where all of the interior is opaque and valid. 0 is
     /// invalid.
     pub alpha: Option<Vec<u8>>,
-    /// The largest distance, in meters or codes, of the reconstruction of these texels from the
-    /// source's pixels at their centers in the interior; 0 where the texels are those pixels.
-    pub source_error: f32,
 }
 
 /// A page whose coverage is settled.
@@ -47,21 +44,37 @@ pub struct Tile<S> {
     /// The finest texels under each texel, a plane a channel; `None` for leaves, and where the
     /// source cannot have holes.
     pub spans: Option<Vec<Span<S>>>,
-    /// That of the leaf as it was read; 0 for coarser pages.
-    pub source_error: f32,
     /// Valid texels of the finished page, border included, and the finest under them are not less
     /// or greater than these.
     pub range: (S, S),
 }
 
+/// A leaf whose border is closed: all that R_L is made of over its interior.
+#[derive(Clone, Copy, Debug)]
+pub struct Closed<'a> {
+    /// Texels along a side, border included.
+    pub side: usize,
+    /// Texels before they were rounded to the step.
+    pub planes: PlanesView<'a>,
+    /// Coverage beside each texel, or `None` where all are fully covered. 0 is invalid.
+    pub coverage: Option<&'a [u8]>,
+}
+
 impl<S: Texel> Tile<S> {
+    /// The leaf as it was before it was rounded, lent. Its border must be closed.
+    #[must_use]
+    pub fn closed(&self) -> Closed<'_> {
+        let planes = S::view(self.original.as_ref().unwrap_or(&self.planes));
+        Closed { side: self.side, planes, coverage: self.coverage.as_deref() }
+    }
+
     /// A page without a valid texel.
     #[must_use]
     pub fn blank(side: usize, (rows, cols): (usize, usize)) -> Self {
         let planes = vec![vec![S::INVALID; side * side]; S::CHANNELS];
         let coverage = Some(vec![0; side * side]);
         let (original, spans, range) = (None, None, S::NOTHING);
-        Self { side, rows, cols, planes, original, coverage, spans, source_error: 0.0, range }
+        Self { side, rows, cols, planes, original, coverage, spans, range }
     }
 
     /// Where a texel of the interior lies.

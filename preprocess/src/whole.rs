@@ -49,7 +49,8 @@ pub enum Payloads {
     Unneeded,
 }
 
-/// Finishes `page` from its texels, border included, and its children.
+/// Finishes `page` from its texels, border included, and its children; `source_error` is that of a
+/// leaf whose texels before rounding are not the source's pixels.
 ///
 /// # Errors
 ///
@@ -59,6 +60,7 @@ pub fn finish<S: Texel>(
     page: PageAddress,
     tile: &Tile<S>,
     children: &[WholeChild<'_, S>],
+    source_error: Option<f32>,
     payloads: Payloads,
 ) -> Result<Whole<S>, EncodeError> {
     let finest = page.level == description.grid.pyramid().finest();
@@ -75,7 +77,7 @@ pub fn finish<S: Texel>(
         Some(parent_cells(description, page, tile, children, ranges))
     };
     let own_bound = cells.as_ref().map_or(0.0, Cells::bound::<S>);
-    let figures = Figures::of(tile, children, (interior, range));
+    let figures = Figures::of(tile, children, (interior, range), source_error);
     let (stored, payload) = match payloads {
         Payloads::Made => encode(description, tile)?,
         Payloads::Unneeded => (NO_PAYLOAD, Vec::new()),
@@ -158,6 +160,7 @@ impl Figures {
         tile: &Tile<S>,
         children: &[WholeChild<'_, S>],
         (interior, all): ((S, S), (S, S)),
+        source_error: Option<f32>,
     ) -> Self {
         let total = tile.rows * tile.cols;
         let valid = tile.coverage.as_ref().map_or(total, |codes| {
@@ -172,7 +175,7 @@ impl Figures {
             let beside = if is_cut { interior_range(tile, 1) } else { all };
             let (min, max) = ends(interior);
             let (lowest, highest) = ends(beside);
-            let source_error = source_error(tile);
+            let source_error = source_error.unwrap_or_else(|| rounding(tile));
             return Self { valid_fraction, min, max, lowest, highest, source_error };
         }
         let fold = |start: f32, pick: fn(f32, f32) -> f32, field: fn(&PageEntry) -> f32| {
@@ -241,9 +244,9 @@ fn range_of<S: Texel>(tile: &Tile<S>, parts: impl Iterator<Item = Range<usize>>)
     range
 }
 
-/// The largest |stored − original| in the interior, and how far the original was from the source.
-fn source_error<S: Texel>(tile: &Tile<S>) -> f32 {
-    let Some(original) = &tile.original else { return tile.source_error };
+/// The largest |stored − original| in the interior.
+fn rounding<S: Texel>(tile: &Tile<S>) -> f32 {
+    let Some(original) = &tile.original else { return 0.0 };
     let mut largest = 0.0_f64;
     for (stored, original) in tile.planes.iter().zip(original) {
         for row in 0..tile.rows {
@@ -252,7 +255,7 @@ fn source_error<S: Texel>(tile: &Tile<S>) -> f32 {
             largest = error.fold(largest, f64::max);
         }
     }
-    bound::rounded_up(largest + f64::from(tile.source_error))
+    bound::rounded_up(largest)
 }
 
 /// The place of a payload before the writer fills it in.

@@ -175,7 +175,7 @@ impl Leaves for RasterLeaves<'_> {
             [red, green, blue] => Planes::Color([codes(red), codes(green), codes(blue)]),
             _ => Planes::Height(planes.swap_remove(0)),
         };
-        Ok(Some(Raw { planes, alpha: holes.then_some(alpha), source_error: 0.0 }))
+        Ok(Some(Raw { planes, alpha: holes.then_some(alpha) }))
     }
 }
 

@@ -82,20 +82,15 @@ impl Mosaic {
             Kind::Height if self.is_whole() => Raw {
                 planes: Planes::WholeHeight(vec![0; side * side]),
                 alpha: (!covered).then(plane),
-                source_error: 0.0,
             },
             Kind::Height => {
                 // Zeros come without being written; what stands for no data must be.
                 let blank = if covered { 0.0 } else { f32::NAN };
-                Raw {
-                    planes: Planes::Height(vec![blank; side * side]),
-                    alpha: None,
-                    source_error: 0.0,
-                }
+                Raw { planes: Planes::Height(vec![blank; side * side]), alpha: None }
             }
             Kind::Color | Kind::Normal => {
                 let planes = Planes::Color([plane(), plane(), plane()]);
-                Raw { planes, alpha: (!covered).then(plane), source_error: 0.0 }
+                Raw { planes, alpha: (!covered).then(plane) }
             }
         }
     }

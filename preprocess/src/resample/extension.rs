@@ -24,9 +24,9 @@ pub struct Extension {
     extent: Extent,
 }
 
-/// A row or column of the extended source.
+/// Where a row or column of the extended source comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Origin {
+pub struct Pixel {
     /// The row or column of the source.
     pub index: u32,
     /// Whether it lies beyond a pole, seen from here.
@@ -43,7 +43,7 @@ pub struct Run {
     /// How many.
     pub len: usize,
     /// Where the first comes from.
-    pub first: Origin,
+    pub first: Pixel,
     /// Whether they go up and not down in the source, or left and not right.
     pub backward: bool,
 }
@@ -72,7 +72,7 @@ impl Extension {
 
     /// Where a row comes from.
     #[must_use]
-    pub fn row(self, row: i64) -> Origin {
+    pub fn row(self, row: i64) -> Pixel {
         let last = i64::from(self.extent.height) - 1;
         let (mut row, mut turned, mut real) = (row, false, true);
         while !(0..=last).contains(&row) {
@@ -89,41 +89,51 @@ impl Extension {
             turned ^= contact != PoleContact::None;
             real &= contact != PoleContact::None;
         }
-        Origin { index: narrow(row), turned, real }
+        Pixel { index: narrow(row), turned, real }
     }
 
     /// Where a column comes from in a row that is turned or not.
     #[must_use]
-    pub fn col(self, col: i64, turned: bool) -> Origin {
+    pub fn col(self, col: i64, turned: bool) -> Pixel {
         let width = i64::from(self.extent.width);
         if self.extent.wraps {
             let half_turn = if turned { width / 2 } else { 0 };
             let index = narrow((col + half_turn).rem_euclid(width));
-            return Origin { index, turned, real: true };
+            return Pixel { index, turned, real: true };
         }
         let real = (0..width).contains(&col);
         let period = (2 * (width - 1)).max(1);
         let within = col.rem_euclid(period);
-        Origin { index: narrow(within.min(period - within).min(width - 1)), turned, real }
+        Pixel { index: narrow(within.min(period - within).min(width - 1)), turned, real }
     }
 
     /// The rows of a range, in runs.
     #[must_use]
     pub fn rows(self, rows: Range<i64>) -> Vec<Run> {
-        runs(rows, |row| self.row(row))
+        runs(rows, self.extent.height, |row| self.row(row))
     }
 
     /// The columns of a range in rows that are turned or not, in runs.
     #[must_use]
     pub fn cols(self, cols: Range<i64>, turned: bool) -> Vec<Run> {
-        runs(cols, |col| self.col(col, turned))
+        let plain = if turned && self.extent.wraps { 0 } else { self.extent.width };
+        runs(cols, plain, |col| self.col(col, turned))
     }
 }
 
-fn runs(indices: Range<i64>, origin: impl Fn(i64) -> Origin) -> Vec<Run> {
-    let mut runs: Vec<Run> = Vec::new();
-    for (at, index) in indices.enumerate() {
-        let next = origin(index);
+/// What indices come from; the first `plain` from themselves.
+fn runs(indices: Range<i64>, plain: u32, origin: impl Fn(i64) -> Pixel) -> Vec<Run> {
+    let (mut runs, start): (Vec<Run>, i64) = (Vec::new(), indices.start);
+    let mut index = start;
+    while index < indices.end {
+        let (next, at) = (origin(index), (index - start) as usize);
+        if (0..i64::from(plain)).contains(&index) {
+            let end = indices.end.min(i64::from(plain));
+            runs.push(Run { at, len: (end - index) as usize, first: next, backward: false });
+            index = end;
+            continue;
+        }
+        index += 1;
         if let Some(run) = runs.last_mut()
             && (run.first.turned, run.first.real) == (next.turned, next.real)
         {

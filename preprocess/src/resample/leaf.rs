@@ -7,6 +7,7 @@ use areoid_formats::page::Kind;
 use areoid_formats::pyramid::PoleContact;
 
 use super::Resampler;
+use super::error;
 use super::kernel::{Sampled, Scratch};
 use super::source::Source as _;
 use super::tile::{Coords, TargetTile};
@@ -14,7 +15,7 @@ use super::window::Window;
 use crate::build::Leaves;
 use crate::raster::RasterError;
 use crate::texel::Planes;
-use crate::tile::Raw;
+use crate::tile::{Closed, Raw};
 
 /// Memory that leaves use again.
 #[derive(Debug, Default)]
@@ -44,9 +45,24 @@ impl Leaves for Resampler {
     }
 
     fn skip(&self, page: PageAddress) {
-        for tile in super::named(&self.transform, page, self.resampling.kernel) {
+        for tile in self.plan.named(page) {
             self.prepared.release(tile.col, tile.row);
         }
+    }
+
+    fn source_error(
+        &self,
+        page: PageAddress,
+        leaf: Option<&Closed<'_>>,
+    ) -> Result<Option<f32>, RasterError> {
+        let rects = self.plan.beneath(page);
+        let Some(leaf) = leaf else {
+            rects.iter().for_each(|rect| self.rasters.pass(rect));
+            return Ok(None);
+        };
+        let (back, pyramid) = (&self.plan.back, self.plan.grid.pyramid());
+        let found = error::source_error(back, &*self.rasters, pyramid, page, leaf, &rects);
+        found.map(Some)
     }
 
     fn check_unchanged(&self) -> Result<(), RasterError> {
@@ -54,7 +70,7 @@ impl Leaves for Resampler {
     }
 
     fn may_have_holes(&self) -> bool {
-        let source = self.transform.source();
+        let source = self.plan.transform.source();
         let global = ![source.north, source.south].contains(&PoleContact::None);
         !(self.rasters.is_solid() && global)
     }
@@ -67,14 +83,14 @@ impl Leaves for Resampler {
 impl Resampler {
     /// The texels of a leaf; `None` if none can be valid.
     fn canvas(&self, page: PageAddress, room: &mut Room) -> Result<Option<Canvas>, RasterError> {
-        let pyramid = self.grid.pyramid();
+        let pyramid = self.plan.grid.pyramid();
         let side = pyramid.page_side() as usize;
         let (height, width) = pyramid.interior_size(page);
         let [top, left] = [page.row, page.col].map(|at| i64::from(at * pyramid.interior()));
         let (rows, cols) = (top..top + i64::from(height), left..left + i64::from(width));
         let channels = self.prepared.channels();
         let mut canvas: Option<Canvas> = None;
-        for tile in self.transform.tiles(rows, cols) {
+        for tile in self.plan.transform.tiles(rows, cols) {
             if !self.sample(tile, room)? {
                 continue;
             }
@@ -93,22 +109,22 @@ impl Resampler {
     /// Samples a tile into the room; false if none of its texels can be valid.
     fn sample(&self, tile: TargetTile, room: &mut Room) -> Result<bool, RasterError> {
         let Room { coords, window, scratch, sampled } = room;
-        if self.transform.range(tile).is_none() {
+        if self.plan.transform.range(tile).is_none() {
             return Ok(false);
         }
-        let footprint = self.transform.coords(tile, coords);
-        let kernel = self.resampling.kernel;
+        let footprint = self.plan.transform.coords(tile, coords);
+        let kernel = self.plan.resampling.kernel;
         if !window.assemble(&self.prepared, coords.range, kernel.reach(footprint))? {
             return Ok(false);
         }
-        kernel.sample(self.resampling.limit, coords, footprint, window, scratch, sampled);
+        kernel.sample(self.plan.resampling.limit, coords, footprint, window, scratch, sampled);
         Ok(true)
     }
 
     /// A leaf as a build takes it; `None` if nothing in it is valid.
     fn raw(&self, page: PageAddress, canvas: Canvas) -> Option<Raw> {
         let Canvas { side, mut planes, alpha } = canvas;
-        let (rows, cols) = self.grid.pyramid().interior_size(page);
+        let (rows, cols) = self.plan.grid.pyramid().interior_size(page);
         let inside = alpha.chunks_exact(side).skip(1).take(rows as usize);
         let inside = inside.flat_map(|row| &row[1..=cols as usize]);
         let (least, greatest) =
@@ -131,7 +147,7 @@ impl Resampler {
                     .collect()
             })),
         };
-        Some(Raw { planes, alpha: (least < u8::MAX).then_some(alpha), source_error: 0.0 })
+        Some(Raw { planes, alpha: (least < u8::MAX).then_some(alpha) })
     }
 }
 

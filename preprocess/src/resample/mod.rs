@@ -8,22 +8,24 @@
 
 pub mod tile;
 
-pub mod transform;
-
-pub mod needs;
-
-pub mod target;
-
 pub mod extension;
 pub mod source;
 
+pub mod transform;
+
+pub mod target;
+
 pub mod prepare;
 
+pub mod needs;
 pub mod window;
 
 pub mod kernel;
 
 pub mod rasters;
+
+mod beneath;
+mod error;
 
 mod leaf;
 
@@ -38,7 +40,7 @@ use self::kernel::{Kernel, RangeLimit};
 use self::needs::{PreparedAt, prepared_tiles};
 use self::prepare::{Beside, PreparedSource};
 use self::rasters::Rasters;
-use self::source::Source;
+use self::source::{Rect, Source};
 use self::tile::Footprint;
 use self::transform::{Precision, Transform};
 use crate::mosaic::Layout;
@@ -64,12 +66,20 @@ pub struct OtherBody;
 /// Leaves of a grid, resampled from rasters on another.
 #[derive(Debug)]
 pub struct Resampler {
-    grid: Grid,
-    resampling: Resampling,
+    plan: Plan,
     layout: Layout,
     rasters: Arc<Rasters>,
-    transform: Transform,
     prepared: PreparedSource,
+}
+
+/// What of the pixels each leaf is made of, and held against: a function of grids alone.
+#[derive(Debug)]
+struct Plan {
+    grid: Grid,
+    resampling: Resampling,
+    transform: Transform,
+    /// From pixels to texels.
+    back: Transform,
 }
 
 impl Resampler {
@@ -85,9 +95,12 @@ impl Resampler {
         kind: Kind,
         resampling: Resampling,
     ) -> Result<Self, OtherBody> {
-        let transform = Transform::new(&grid, &placement, resampling.precision).ok_or(OtherBody)?;
-        let (rasters, prepared) = sources(&layout, kind, &transform, resampling, None);
-        Ok(Self { grid, resampling, layout, rasters, transform, prepared })
+        let (target, precision) = (grid.placement(), resampling.precision);
+        let transform = Transform::new(&target, &placement, precision).ok_or(OtherBody)?;
+        let back = Transform::new(&placement, &target, precision).ok_or(OtherBody)?;
+        let plan = Plan { grid, resampling, transform, back };
+        let (rasters, prepared) = plan.sources(&layout, kind, None);
+        Ok(Self { plan, layout, rasters, prepared })
     }
 
     /// How often a prepared tile was made, and how many there are.
@@ -98,37 +111,51 @@ impl Resampler {
     }
 }
 
-/// What leaves are sampled from, with their uses announced and what waits in memory limited.
-fn sources(
-    layout: &Layout,
-    kind: Kind,
-    transform: &Transform,
-    resampling: Resampling,
-    overflow: Option<&Arc<Overflow>>,
-) -> (Arc<Rasters>, PreparedSource) {
-    let (placement, filter) = (*transform.source(), resampling.kernel.filter());
-    let named =
-        leaves(transform.target()).flat_map(|leaf| named(transform, leaf, resampling.kernel));
-    let uses = needs::uses(&placement, named);
-    let columns = placement.width.div_ceil(prepare::PREPARED) as usize;
-    let narrow = |index: usize| u32::try_from(index).expect("tiles of a raster");
-    let wanted = (0..uses.len()).filter(|&at| uses[at] > 0);
-    let extension = Extension::new(placement.extent());
-    let rects = wanted.flat_map(|at| {
-        prepare::reads(extension, filter, (narrow(at % columns), narrow(at / columns)))
-    });
-    let mut rasters = Rasters::new(layout, placement, kind, &rects.collect::<Vec<_>>());
-    overflow.into_iter().for_each(|overflow| rasters.spill(overflow));
-    let rasters = Arc::new(rasters);
-    let source = Arc::clone(&rasters) as Arc<dyn Source>;
-    let uses_of = |col: u32, row: u32| uses[row as usize * columns + col as usize];
-    let beside = match resampling.limit {
-        RangeLimit::None => Beside::Nothing,
-        RangeLimit::Taps => Beside::Pixels,
-    };
-    let mut prepared = PreparedSource::new(source, filter, beside, uses_of);
-    overflow.into_iter().for_each(|overflow| prepared.spill(overflow));
-    (rasters, prepared)
+impl Plan {
+    /// What leaves are sampled from, with their uses announced and what waits in memory limited.
+    fn sources(
+        &self,
+        layout: &Layout,
+        kind: Kind,
+        overflow: Option<&Arc<Overflow>>,
+    ) -> (Arc<Rasters>, PreparedSource) {
+        let (placement, filter) = (*self.transform.source(), self.resampling.kernel.filter());
+        let uses = needs::uses(&placement, leaves(&self.grid).flat_map(|leaf| self.named(leaf)));
+        let columns = placement.width.div_ceil(prepare::PREPARED) as usize;
+        let narrow = |index: usize| u32::try_from(index).expect("tiles of a raster");
+        let wanted = (0..uses.len()).filter(|&at| uses[at] > 0);
+        let extension = Extension::new(placement.extent());
+        let rects = wanted.flat_map(|at| {
+            prepare::reads(extension, filter, (narrow(at % columns), narrow(at / columns)))
+        });
+        let again = leaves(&self.grid).flat_map(|leaf| self.beneath(leaf));
+        let rects: Vec<Rect> = rects.chain(again).collect();
+        let mut rasters = Rasters::new(layout, placement, kind, &rects);
+        overflow.into_iter().for_each(|overflow| rasters.spill(overflow));
+        let rasters = Arc::new(rasters);
+        let source = Arc::clone(&rasters) as Arc<dyn Source>;
+        let uses_of = |col: u32, row: u32| uses[row as usize * columns + col as usize];
+        let beside = match self.resampling.limit {
+            RangeLimit::None => Beside::Nothing,
+            RangeLimit::Taps => Beside::Pixels,
+        };
+        let mut prepared = PreparedSource::new(source, filter, beside, uses_of);
+        overflow.into_iter().for_each(|overflow| prepared.spill(overflow));
+        (rasters, prepared)
+    }
+
+    /// The prepared tiles that a leaf announces.
+    fn named(&self, leaf: PageAddress) -> Vec<PreparedAt> {
+        prepared_tiles(&self.transform, self.grid.pyramid(), leaf, |footprint: Footprint| {
+            let [across, down] = self.resampling.kernel.reach(footprint);
+            [across - 1, across, down - 1, down]
+        })
+    }
+
+    /// The pixels that a finished leaf is held against.
+    fn beneath(&self, leaf: PageAddress) -> Vec<Rect> {
+        beneath::beneath(&self.back, self.grid.pyramid(), leaf)
+    }
 }
 
 /// All leaves of a grid.
@@ -138,34 +165,25 @@ fn leaves(grid: &Grid) -> impl Iterator<Item = PageAddress> + use<> {
     (0..rows).flat_map(move |row| (0..cols).map(move |col| PageAddress::new(finest, row, col)))
 }
 
-/// The prepared tiles that a leaf announces.
-fn named(transform: &Transform, leaf: PageAddress, kernel: Kernel) -> Vec<PreparedAt> {
-    prepared_tiles(transform, leaf, |footprint: Footprint| {
-        let [across, down] = kernel.reach(footprint);
-        [across - 1, across, down - 1, down]
-    })
-}
-
 impl Origin for Resampler {
     fn grid(&self) -> &Grid {
-        &self.grid
+        &self.plan.grid
     }
 
     fn apart(&self) -> Box<dyn Origin> {
         let made = Self::new(
-            self.grid.clone(),
+            self.plan.grid.clone(),
             self.layout.clone(),
-            *self.transform.source(),
+            *self.plan.transform.source(),
             self.rasters.kind(),
-            self.resampling,
+            self.plan.resampling,
         );
         Box::new(made.expect("the same bodies as before"))
     }
 
     fn spill(&mut self, overflow: &Arc<Overflow>) {
         let kind = self.rasters.kind();
-        (self.rasters, self.prepared) =
-            sources(&self.layout, kind, &self.transform, self.resampling, Some(overflow));
+        (self.rasters, self.prepared) = self.plan.sources(&self.layout, kind, Some(overflow));
     }
 
     fn decoded_blocks(&self) -> u64 {
@@ -177,9 +195,8 @@ impl Origin for Resampler {
     }
 
     fn decoded_for(&self, leaves: &[PageAddress]) -> u64 {
-        let kernel = self.resampling.kernel;
         let mut tiles: Vec<PreparedAt> =
-            leaves.iter().flat_map(|&leaf| named(&self.transform, leaf, kernel)).collect();
+            leaves.iter().flat_map(|&leaf| self.plan.named(leaf)).collect();
         tiles.sort_unstable();
         tiles.dedup();
         let rects = tiles.iter().flat_map(|tile| self.prepared.reads(tile.col, tile.row));

@@ -91,6 +91,15 @@ impl Rasters {
         self.kind == Kind::Height && self.parts.iter().all(|part| part.raster.info().is_whole())
     }
 
+    /// Tells that a rectangle will not be read.
+    pub(super) fn pass(&self, rect: &Rect) {
+        for part in &self.parts {
+            for (col, row) in part.shared(rect).iter().flat_map(|shared| part.blocks_of(shared)) {
+                part.blocks.release(col, row);
+            }
+        }
+    }
+
     pub(super) fn check_unchanged(&self) -> Result<(), RasterError> {
         self.parts.iter().try_for_each(|part| part.raster.check_unchanged())
     }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::extension::{Origin, Run};
+use super::extension::{Pixel, Run};
 use super::prepare::{PREPARED, Prepared, PreparedSource};
 use crate::raster::RasterError;
 
@@ -96,7 +96,7 @@ impl Window {
 
         // Beyond an edge that mirrors nothing is valid; taps that merely reach there matter not.
         let extension = source.extension();
-        let ends = |[first, last]: [f64; 2], origin: &dyn Fn(i64) -> Origin| {
+        let ends = |[first, last]: [f64; 2], origin: &dyn Fn(i64) -> Pixel| {
             #[expect(clippy::cast_possible_truncation, reason = "places of pixels")]
             let nearest = |at: f64| (at + 0.5).floor() as i64;
             origin(nearest(first)).real && origin(nearest(last)).real
@@ -225,7 +225,7 @@ fn split(runs: &[Run]) -> impl Iterator<Item = Run> {
             let room =
                 if run.backward { index % PREPARED + 1 } else { PREPARED - index % PREPARED };
             let len = left.min(room as usize);
-            let part = Run { at: run.at + done, len, first: Origin { index, ..run.first }, ..run };
+            let part = Run { at: run.at + done, len, first: Pixel { index, ..run.first }, ..run };
             done += len;
             Some(part)
         })

@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::codec::{self, EncodeError, Quantum, Scratch};
 
-use super::{Planes, Texel};
+use super::{Planes, PlanesView, Texel};
 
 impl Texel for u8 {
     const CHANNELS: usize = 3;
@@ -17,6 +17,10 @@ impl Texel for u8 {
             Planes::Color(planes) => planes.into(),
             _ => panic!("a dataset of colors has leaves of colors"),
         }
+    }
+
+    fn view(channels: &[Vec<Self>]) -> PlanesView<'_> {
+        PlanesView::Color([&channels[0], &channels[1], &channels[2]])
     }
 
     fn to_step(_: &mut [Vec<Self>], _: Quantum) -> Option<Option<Vec<Vec<Self>>>> {

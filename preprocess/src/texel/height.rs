@@ -4,7 +4,7 @@ use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::codec::{self, EncodeError, Quantum, Scratch};
 use areoid_formats::lanes;
 
-use super::{Planes, Texel};
+use super::{Planes, PlanesView, Texel};
 
 impl Texel for f32 {
     const CHANNELS: usize = 1;
@@ -23,6 +23,10 @@ impl Texel for f32 {
             }
             Planes::Color(_) => panic!("a dataset of heights has leaves of heights"),
         }]
+    }
+
+    fn view(channels: &[Vec<Self>]) -> PlanesView<'_> {
+        PlanesView::Height(&channels[0])
     }
 
     fn to_step(planes: &mut [Vec<Self>], quantum: Quantum) -> Option<Option<Vec<Vec<Self>>>> {

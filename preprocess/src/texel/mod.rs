@@ -24,6 +24,17 @@ pub enum Planes {
     Color([Vec<u8>; 3]),
 }
 
+/// The planes of a page under construction, lent.
+#[derive(Clone, Copy, Debug)]
+pub enum PlanesView<'a> {
+    /// Meters, NaN where invalid.
+    Height(&'a [f32]),
+    /// Whole meters.
+    WholeHeight(&'a [i16]),
+    /// Red, green and blue codes.
+    Color([&'a [u8]; 3]),
+}
+
 /// A texel of one channel.
 pub trait Texel: bound::Texel<Cell: bytemuck::Pod> + bytemuck::Pod + std::fmt::Debug {
     /// Channels of a page.
@@ -39,6 +50,13 @@ pub trait Texel: bound::Texel<Cell: bytemuck::Pod> + bytemuck::Pod + std::fmt::D
     ///
     /// If they are of another kind.
     fn channels(planes: Planes, alpha: Option<&[u8]>) -> Vec<Vec<Self>>;
+
+    /// The channels of a page, lent.
+    ///
+    /// # Panics
+    ///
+    /// If there are not as many as [`Self::CHANNELS`].
+    fn view(channels: &[Vec<Self>]) -> PlanesView<'_>;
 
     /// Puts the channels of a leaf on the step, and returns what they were if that changed any;
     /// `None` if a texel cannot be stored.

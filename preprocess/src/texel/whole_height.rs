@@ -3,7 +3,7 @@
 use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::codec::{self, EncodeError, Quantum, Scratch};
 
-use super::{Planes, Texel};
+use super::{Planes, PlanesView, Texel};
 
 impl Texel for i16 {
     const CHANNELS: usize = 1;
@@ -15,6 +15,10 @@ impl Texel for i16 {
             Planes::WholeHeight(plane) => vec![plane],
             _ => panic!("a dataset of whole heights has leaves of whole heights"),
         }
+    }
+
+    fn view(channels: &[Vec<Self>]) -> PlanesView<'_> {
+        PlanesView::WholeHeight(&channels[0])
     }
 
     fn to_step(_: &mut [Vec<Self>], _: Quantum) -> Option<Option<Vec<Vec<Self>>>> {

@@ -18,18 +18,16 @@ pub(super) struct Cylindrical {
 impl Cylindrical {
     pub(super) fn new(pair: &Pair) -> Self {
         let (target, source) = (&pair.target, &pair.source);
-        let extent = target.pyramid().extent();
         // Columns are the same in all rows, but on a pole, where longitude says nothing.
-        let equator = target.crs().project(Geographic::default());
+        let equator = target.crs.project(Geographic::default());
         let equator = equator.expect("maps of straight meridians draw the equator");
-        let equator_row = (target.origin()[1] - equator.y) / target.pixel_size()[1] - 0.5;
+        let equator_row = (target.origin[1] - equator.y) / target.pixel_size[1] - 0.5;
         // Turns of longitude to a column; where both maps are one, the ratio of their pixels.
-        let turns_per_col =
-            target.crs().wraps_with_period().map(|turn| target.pixel_size()[0] / turn);
+        let turns_per_col = target.crs.wraps_with_period().map(|turn| target.pixel_size[0] / turn);
         let cols_per_turn = source.crs.wraps_with_period().map(|turn| turn / source.pixel_size[0]);
         let per_col = match (turns_per_col, cols_per_turn) {
-            (Some(turns), Some(cols)) if target.crs() != &source.crs => turns * cols,
-            _ => target.pixel_size()[0] / source.pixel_size[0],
+            (Some(turns), Some(cols)) if target.crs != source.crs => turns * cols,
+            _ => target.pixel_size[0] / source.pixel_size[0],
         };
         let row = |row: i64| {
             let (row, turned) = pair.extended_row(row);
@@ -38,7 +36,7 @@ impl Cylindrical {
         Self {
             start: pair.exact(equator_row, 0.0).map_or(NOWHERE, |(u, _)| u),
             per_col,
-            rows: (-1..=i64::from(extent.height)).map(row).collect(),
+            rows: (-1..=i64::from(target.height)).map(row).collect(),
         }
     }
 

@@ -3,17 +3,18 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use areoid_formats::geodesy::Geographic;
-use areoid_formats::grid::{Grid, Placement, TexelPoint};
+use areoid_formats::grid::Placement;
 use areoid_formats::projection::Projection;
 use areoid_formats::units::Radians;
 
 use super::{cols_of, rows_of};
+use crate::resample::extension::Extension;
 use crate::resample::tile::{Coords, TargetTile};
 
 /// A target and a source.
 #[derive(Debug)]
 pub(super) struct Pair {
-    pub(super) target: Grid,
+    pub(super) target: Placement,
     pub(super) source: Placement,
 }
 
@@ -21,14 +22,13 @@ pub(super) struct Pair {
 pub(super) const NOWHERE: f64 = -1e9;
 
 impl Pair {
-    pub(super) fn new(target: Grid, source: Placement) -> Self {
+    pub(super) fn new(target: Placement, source: Placement) -> Self {
         Self { target, source }
     }
 
     /// What a place among the finest texels shows.
     pub(super) fn position(&self, row: f64, col: f64) -> Option<Geographic> {
-        let point = TexelPoint { x: col + 0.5, y: row + 0.5 };
-        self.target.geographic_from_texel(self.target.pyramid().finest(), point)
+        self.target.geographic_from_pixel(col, row)
     }
 
     pub(super) fn exact(&self, row: f64, col: f64) -> Option<(f64, f64)> {
@@ -36,40 +36,41 @@ impl Pair {
         Some(self.source.pixel_from_map(shown))
     }
 
-    pub(super) fn back(&self, u: f64, v: f64) -> Option<TexelPoint> {
-        let position = self.source.crs.unproject(self.source.map_from_pixel(u, v))?;
-        let shown = self.target.crs().project(position)?;
-        Some(self.target.texel_from_map(self.target.pyramid().finest(), shown))
+    pub(super) fn back(&self, u: f64, v: f64) -> Option<(f64, f64)> {
+        let shown = self.target.crs.project(self.source.geographic_from_pixel(u, v)?)?;
+        let (col, row) = self.target.pixel_from_map(shown);
+        Some((row, col))
     }
 
     /// The row of the level that shows in row `row` of the extended level, and whether it does half
     /// a turn away.
     pub(super) fn extended_row(&self, row: i64) -> (i64, bool) {
-        let pyramid = self.target.pyramid();
-        // At the finest level rows come from rows.
-        let extended = pyramid.extended_row(pyramid.finest(), row);
-        (i64::from(extended.row), extended.turned)
+        let from = Extension::new(self.target.extent()).row(row);
+        let last = i64::from(self.target.height) - 1;
+        if from.real { (i64::from(from.index), from.turned) } else { (row.clamp(0, last), false) }
     }
 
     /// The column of the level that shows in column `col` of the extended level, not wrapped.
     pub(super) fn extended_col(&self, col: i64) -> i64 {
-        let extent = self.target.pyramid().extent();
-        if extent.wraps { col } else { col.clamp(0, i64::from(extent.width) - 1) }
+        if self.target.wraps { col } else { col.clamp(0, i64::from(self.target.width) - 1) }
+    }
+
+    /// Columns to what is seen half a turn away.
+    fn half_turn(&self, turned: bool) -> f64 {
+        if turned { f64::from(self.target.width) / 2.0 } else { 0.0 }
     }
 
     /// The row and column of a texel that shows what the extended level does there.
     fn extended(&self, row: i64, col: i64) -> (f64, f64) {
         let (row, turned) = self.extended_row(row);
-        let half_turn = if turned { self.target.pyramid().extent().width / 2 } else { 0 };
-        (row as f64, (self.extended_col(col) + i64::from(half_turn)) as f64)
+        (row as f64, self.extended_col(col) as f64 + self.half_turn(turned))
     }
 
     /// The middle of a tile, in rows and columns of the level.
     fn middle(&self, tile: TargetTile) -> (f64, f64) {
         let (row, turned) = self.extended_row(tile.row + tile.rows as i64 / 2);
-        let half_turn = if turned { self.target.pyramid().extent().width / 2 } else { 0 };
-        let col = self.extended_col(tile.col + tile.cols as i64 / 2) + i64::from(half_turn);
-        (row as f64, col as f64)
+        let col = self.extended_col(tile.col + tile.cols as i64 / 2);
+        (row as f64, col as f64 + self.half_turn(turned))
     }
 
     /// All texels of a tile, in the turn of the one in its middle.
@@ -109,11 +110,9 @@ impl Pair {
             let place = |start: i64, length: usize, step: usize, of: usize| {
                 start as f64 + length.saturating_sub(1) as f64 * step as f64 / of as f64
             };
-            let extent = self.target.pyramid().extent();
-            let row =
-                place(tile.row, tile.rows, row, down).clamp(0.0, f64::from(extent.height) - 1.0);
-            let col =
-                place(tile.col, tile.cols, col, across).clamp(0.0, f64::from(extent.width) - 1.0);
+            let last = |length: u32| f64::from(length) - 1.0;
+            let row = place(tile.row, tile.rows, row, down).clamp(0.0, last(self.target.height));
+            let col = place(tile.col, tile.cols, col, across).clamp(0.0, last(self.target.width));
             self.exact(row, col)
         };
         let rim: Option<Vec<(f64, f64)>> = (0..across)
@@ -151,8 +150,8 @@ impl Pair {
         let Projection::PolarStereographic(map) = &self.source.crs.projection else { return false };
         let latitude = Radians(-map.pole.sign() * FRAC_PI_2);
         let end = Geographic { latitude, ..Geographic::default() };
-        let Some(end) = self.target.crs().project(end) else { return false };
-        let TexelPoint { x, y } = self.target.texel_from_map(self.target.pyramid().finest(), end);
+        let Some(end) = self.target.crs.project(end) else { return false };
+        let (x, y) = self.target.pixel_from_map(end);
         let holds = |place: f64, start: i64, length: usize| {
             (start as f64..=start as f64 + length as f64).contains(&place)
         };

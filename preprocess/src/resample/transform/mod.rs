@@ -32,7 +32,7 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use areoid_formats::body::Body;
-use areoid_formats::grid::{Grid, Placement, TexelPoint};
+use areoid_formats::grid::Placement;
 use areoid_formats::projection::Projection;
 
 use self::cylindrical::Cylindrical;
@@ -70,7 +70,10 @@ pub struct TransformCounts {
     pub exact: u64,
 }
 
-/// Where the texels of a grid lie in a source.
+/// Where the texels of a target lie in a source.
+///
+/// The target is a grid's finest level, or the pixels of another raster: with both exchanged it is
+/// the way back.
 ///
 /// Any thread may ask, and gets the same bits.
 #[derive(Debug)]
@@ -110,19 +113,19 @@ const POLE_TILE: usize = 8;
 const ROUNDING: f64 = 1.0 / (1_u64 << 44) as f64;
 
 impl Transform {
-    /// The way from `target`'s finest level to `source`, or `None` if they show other bodies.
+    /// The way from `target` to `source`, or `None` if they show other bodies.
     ///
     /// Positions on the body are carried over unchanged between surfaces that differ a little, as
     /// [`Crs`](areoid_formats::projection::Crs) has them: latitudes planetographic.
     #[must_use]
-    pub fn new(target: &Grid, source: &Placement, precision: Precision) -> Option<Self> {
+    pub fn new(target: &Placement, source: &Placement, precision: Precision) -> Option<Self> {
         let [target_body, source_body] =
-            [target.crs().body, source.crs.body].map(Body::from_ellipsoid);
+            [target.crs.body, source.crs.body].map(Body::from_ellipsoid);
         if !target_body.same_as(&source_body) {
             return None;
         }
-        let pair = Pair::new(target.clone(), *source);
-        let case = match (&target.crs().projection, &source.crs.projection) {
+        let pair = Pair::new(*target, *source);
+        let case = match (&target.crs.projection, &source.crs.projection) {
             (Projection::PolarStereographic(_), Projection::PolarStereographic(_)) => Case::Exact,
             (Projection::PolarStereographic(map), _) => {
                 Case::PolarAngle(PolarAngle::new(&pair, map))
@@ -146,7 +149,7 @@ impl Transform {
 
     /// The target.
     #[must_use]
-    pub fn target(&self) -> &Grid {
+    pub fn target(&self) -> &Placement {
         &self.pair.target
     }
 
@@ -254,10 +257,10 @@ impl Transform {
         self.pair.exact(row, col)
     }
 
-    /// Where a place among the source's pixels lies in the target's finest texels, inside its
-    /// outline or not; `None` where a projection has no answer.
+    /// Where a place among the source's pixels lies in the target, row first, inside its outline or
+    /// not, in the turn nearest its middle; `None` where a projection has no answer.
     #[must_use]
-    pub fn back(&self, u: f64, v: f64) -> Option<TexelPoint> {
+    pub fn back(&self, u: f64, v: f64) -> Option<(f64, f64)> {
         self.pair.back(u, v)
     }
 

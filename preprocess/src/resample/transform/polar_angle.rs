@@ -63,10 +63,10 @@ struct Place {
 impl PolarAngle {
     pub(super) fn new(pair: &Pair, map: &PolarStereographic) -> Self {
         let (target, source) = (&pair.target, &pair.source);
-        let [pixel_x, pixel_y] = target.pixel_size();
+        let [pixel_x, pixel_y] = target.pixel_size;
         let pole = [
-            (map.false_easting.0 - target.origin()[0]) / pixel_x - 0.5,
-            (target.origin()[1] - map.false_northing.0) / pixel_y - 0.5,
+            (map.false_easting.0 - target.origin[0]) / pixel_x - 0.5,
+            (target.origin[1] - map.false_northing.0) / pixel_y - 0.5,
         ];
         let south_per_row = map.pole.sign() * pixel_y / pixel_x;
         // Some place straight south of the pole.
@@ -77,7 +77,7 @@ impl PolarAngle {
     }
 
     fn place(&self, pair: &Pair, tile: TargetTile) -> Place {
-        let height = i64::from(pair.target.pyramid().extent().height);
+        let height = i64::from(pair.target.height);
         let ends = |first: i64, count: usize| [first, first + count as i64 - 1];
         let east =
             ends(tile.col, tile.cols).map(|col| pair.extended_col(col) as f64 - self.pole[0]);
@@ -115,7 +115,7 @@ impl PolarAngle {
         for (at, east) in (tile.col..).zip(&mut east[..tile.cols]) {
             *east = pair.extended_col(at) as f64 - self.pole[0];
         }
-        let height = i64::from(pair.target.pyramid().extent().height);
+        let height = i64::from(pair.target.height);
         for (at, south) in (tile.row..).zip(&mut south[..tile.rows]) {
             *south = (at.clamp(0, height - 1) as f64 - self.pole[1]) * self.south_per_row;
         }

@@ -34,20 +34,19 @@ pub(super) struct PolarTables {
 impl PolarTables {
     pub(super) fn new(pair: &Pair, map: &PolarStereographic) -> Self {
         let (target, source) = (&pair.target, &pair.source);
-        let extent = target.pyramid().extent();
         let [pixel_x, pixel_y] = source.pixel_size;
         let pole = [
             (map.false_easting.0 - source.origin[0]) / pixel_x - 0.5,
             (source.origin[1] - map.false_northing.0) / pixel_y - 0.5,
         ];
 
-        let mid_row = f64::from(extent.height / 2);
+        let mid_row = f64::from(target.height / 2);
         let direction = |col: i64| {
             let longitude = pair.position(mid_row, pair.extended_col(col) as f64)?.longitude;
             Some((longitude.0 - map.central_meridian.0).sin_cos())
         };
         let directions =
-            (-1..=i64::from(extent.width)).map(|col| direction(col).unwrap_or_default());
+            (-1..=i64::from(target.width)).map(|col| direction(col).unwrap_or_default());
         // Southward from a north pole is down the rows.
         let rows_per_col = map.pole.sign() * pixel_x / pixel_y;
         let (sines, cosines) =
@@ -66,7 +65,7 @@ impl PolarTables {
             Some(if turned { -radius } else { radius })
         };
         let radii =
-            (-1..=i64::from(extent.height)).map(|row| radius(row).unwrap_or(nowhere)).collect();
+            (-1..=i64::from(target.height)).map(|row| radius(row).unwrap_or(nowhere)).collect();
         Self { pole, sines, cosines, radii }
     }
 

@@ -73,7 +73,7 @@ const TERMS: usize = 8;
 impl Radial {
     pub(super) fn new(pair: &Pair, map: &PolarStereographic, tolerance: f64) -> Self {
         let source = &pair.source;
-        let pixel_x = pair.target.pixel_size()[0];
+        let pixel_x = pair.target.pixel_size[0];
         let ends = [Pole::North, Pole::South]
             .map(|pole| source.crs.y_of_pole(pole).expect("the source draws poles as lines"));
         let mut made = Self {
@@ -95,7 +95,7 @@ impl Radial {
             x: map.false_easting.0 + radius * self.lines.pixel_x,
             y: map.false_northing.0,
         };
-        let latitude = pair.target.crs().unproject(east)?.latitude;
+        let latitude = pair.target.crs.unproject(east)?.latitude;
         let shown = pair.source.crs.project(Geographic { latitude, ..Geographic::default() })?;
         Some(pair.source.pixel_from_map(shown).1)
     }
@@ -175,7 +175,7 @@ impl Polynomial {
 /// Map meters from the pole to the equator, where every kind of latitude is 0: C.
 fn radius_of_equator(pair: &Pair, map: &PolarStereographic) -> f64 {
     let equator = Geographic { longitude: map.central_meridian, ..Geographic::default() };
-    let shown = pair.target.crs().project(equator).expect("polar maps reach past the equator");
+    let shown = pair.target.crs.project(equator).expect("polar maps reach past the equator");
     (shown.y - map.false_northing.0).abs()
 }
 

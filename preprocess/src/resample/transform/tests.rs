@@ -6,7 +6,7 @@
 
 use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::LatitudeKind;
-use areoid_formats::grid::Outline;
+use areoid_formats::grid::{Grid, Outline};
 use areoid_formats::projection::{
     Crs, Equirectangular, PolarScale, PolarStereographic, Pole, Projection,
 };
@@ -14,6 +14,7 @@ use areoid_formats::units::{Degrees, Meters, Radians};
 use proptest::prelude::*;
 
 use super::*;
+use crate::resample::extension::Extension;
 
 /// A body, and what latitudes mean on a map of it.
 pub(in crate::resample) fn surfaces() -> impl Strategy<Value = (Ellipsoid, LatitudeKind)> {
@@ -182,6 +183,19 @@ fn columns_apart(source: &Placement, one: f64, other: f64) -> f64 {
     (apart - turns * f64::from(source.width)).abs()
 }
 
+/// The row and column of the target that shows in the extended level.
+fn shown(target: &Placement, row: i64, col: i64) -> (f64, f64) {
+    let extension = Extension::new(target.extent());
+    let from = extension.row(row);
+    // What is no pole repeats the last texel.
+    let nearest = |at: i64, length: u32| at.clamp(0, i64::from(length) - 1) as f64;
+    let row = if from.real { f64::from(from.index) } else { nearest(row, target.height) };
+    if !target.wraps {
+        return (row, nearest(col, target.width));
+    }
+    (row, f64::from(extension.col(col, from.real && from.turned).index))
+}
+
 /// Holds all texels of a tile against the exact way: the largest difference.
 fn check(transform: &Transform, tile: TargetTile) -> Result<f64, TestCaseError> {
     let source = transform.source();
@@ -192,7 +206,6 @@ fn check(transform: &Transform, tile: TargetTile) -> Result<f64, TestCaseError> 
     let bound = transform.bound_px();
     prop_assert!(bound <= 1.0 / 16384.0, "{bound}");
     let range = transform.range(tile);
-    let pyramid = transform.target().pyramid();
     let (width, height) = (f64::from(source.width), f64::from(source.height));
     let mut worst = 0.0_f64;
     for at in 0..tile.rows * tile.cols {
@@ -202,12 +215,11 @@ fn check(transform: &Transform, tile: TargetTile) -> Result<f64, TestCaseError> 
         prop_assert!(coords.range[0] <= u && u <= coords.range[1], "{u} {:?}", coords.range);
         prop_assert!(coords.range[2] <= v && v <= coords.range[3], "{v} {:?}", coords.range);
 
-        let extended = pyramid.extended_row(pyramid.finest(), row);
-        let shown_col = pyramid.extended_col(pyramid.finest(), col, extended.turned);
-        let expected = transform.exact(f64::from(extended.row), f64::from(shown_col));
+        let (shown_row, shown_col) = shown(transform.target(), row, col);
+        let expected = transform.exact(shown_row, shown_col);
         let inside_u = |u: f64| source.wraps || (-0.5..=width - 0.5).contains(&u);
         let inside = |(u, v): (f64, f64)| inside_u(u) && (-0.5..=height - 0.5).contains(&v);
-        let position = transform.pair.position(f64::from(extended.row), f64::from(shown_col));
+        let position = transform.pair.position(shown_row, shown_col);
         let from_pole =
             position.map_or(1.0, |it| std::f64::consts::FRAC_PI_2 - it.latitude.0.abs());
         // Columns of a place so near a pole are rounding.
@@ -247,14 +259,13 @@ fn check(transform: &Transform, tile: TargetTile) -> Result<f64, TestCaseError> 
     Ok(worst)
 }
 
-/// A tile of a grid, which may reach into the ring around it.
-fn tile_at(grid: &Grid, place: [f64; 2], size: [usize; 2]) -> TargetTile {
-    let extent = grid.pyramid().extent();
+/// A tile of a target, which may reach into the ring around it.
+fn tile_at(target: &Placement, place: [f64; 2], size: [usize; 2]) -> TargetTile {
     let start = |place: f64, length: u32| (place * f64::from(length + 2)).floor() as i64 - 1;
-    let (row, col) = (start(place[0], extent.height), start(place[1], extent.width));
+    let (row, col) = (start(place[0], target.height), start(place[1], target.width));
     let fit =
         |start: i64, length: u32, size: usize| size.min((i64::from(length) + 1 - start) as usize);
-    let (rows, cols) = (fit(row, extent.height, size[0]), fit(col, extent.width, size[1]));
+    let (rows, cols) = (fit(row, target.height, size[0]), fit(col, target.width, size[1]));
     TargetTile { row, col, rows, cols }
 }
 
@@ -264,7 +275,7 @@ fn places() -> impl Strategy<Value = ([f64; 2], [usize; 2])> {
     ([place(), place()], [size(), size()])
 }
 
-fn transform(target: &Grid, source: &Placement) -> Transform {
+fn transform(target: &Placement, source: &Placement) -> Transform {
     Transform::new(target, source, Precision::default()).expect("they show one body")
 }
 
@@ -275,7 +286,7 @@ proptest! {
     fn a_straight_map_of_a_polar_source_is_exact(
         surface in surfaces(), target in straight(), source in round(), (place, size) in places(),
     ) {
-        let Some(target) = target.grid(surface) else { return Ok(()) };
+        let target = target.placement(surface);
         let transform = transform(&target, &source.placement(surface));
         check(&transform, tile_at(&target, place, size))?;
     }
@@ -284,7 +295,7 @@ proptest! {
     fn a_polar_map_of_a_straight_source_keeps_its_bound(
         surface in surfaces(), target in round(), source in straight(), (place, size) in places(),
     ) {
-        let target = target.grid(surface);
+        let target = target.placement(surface);
         let transform = transform(&target, &source.placement(surface));
         let tile = tile_at(&target, place, size);
         let pieces = transform.tiles(rows_of(tile), cols_of(tile));
@@ -298,7 +309,7 @@ proptest! {
         surface in surfaces(), target in straight(), source in straight(),
         (place, size) in places(),
     ) {
-        let Some(target) = target.grid(surface) else { return Ok(()) };
+        let target = target.placement(surface);
         let transform = transform(&target, &source.placement(surface));
         check(&transform, tile_at(&target, place, size))?;
     }
@@ -307,7 +318,7 @@ proptest! {
     fn a_polar_map_of_a_polar_source_is_exact(
         surface in surfaces(), target in round(), source in round(), (place, size) in places(),
     ) {
-        let target = target.grid(surface);
+        let target = target.placement(surface);
         let transform = transform(&target, &source.placement(surface));
         check(&transform, tile_at(&target, place, size))?;
     }
@@ -332,7 +343,7 @@ fn one_texel_beside_the_pole_is_exact() {
         posts: false,
         part: None,
     };
-    let transform = transform(&target.grid(surface), &source.placement(surface));
+    let transform = transform(&target.placement(surface), &source.placement(surface));
     for col in [5, 6] {
         check(&transform, TargetTile { row: 2, col, rows: 1, cols: 1 }).unwrap();
     }
@@ -354,8 +365,8 @@ fn two_rows_of_posts_that_end_on_a_pole_have_their_columns() {
         false_easting: Meters(1234.5),
         ..Equirectangular::default()
     });
-    let target = map(straight, true, Some([0.0, 0.2, 15.1 / 17.0, 0.5])).grid(surface).unwrap();
-    assert_eq!(target.pyramid().extent().height, 2, "the last of 17 rows, and the one before");
+    let target = map(straight, true, Some([0.0, 0.2, 15.1 / 17.0, 0.5])).placement(surface);
+    assert_eq!(target.height, 2, "the last of 17 rows, and the one before");
     let source = map(Projection::Geographic, false, None).placement(surface);
     check(&transform(&target, &source), TargetTile { row: 0, col: 0, rows: 2, cols: 3 }).unwrap();
 }
@@ -364,21 +375,20 @@ fn two_rows_of_posts_that_end_on_a_pole_have_their_columns() {
 /// texels.
 fn check_back(transform: &Transform, place: [f64; 2]) -> Result<(), TestCaseError> {
     let target = transform.target();
-    let extent = target.pyramid().extent();
-    let row = place[0] * (f64::from(extent.height) - 1.0);
-    let col = place[1] * (f64::from(extent.width) - 1.0);
+    let row = place[0] * (f64::from(target.height) - 1.0);
+    let col = place[1] * (f64::from(target.width) - 1.0);
     let Some((u, v)) = transform.exact(row, col) else { return Ok(()) };
-    let back = transform.back(u, v).expect("what is seen is on both maps");
-    let texels_per_radius = target.crs().body.a().0 / target.nominal_pixel().0;
+    let (back_row, back_col) = transform.back(u, v).expect("what is seen is on both maps");
+    let texels_per_radius = target.crs.body.a().0 / target.nominal_pixel().0;
     let tolerance = 1e-9 * texels_per_radius.max(1.0);
-    prop_assert!((back.y - 0.5 - row).abs() <= tolerance, "{row} {col}: {back:?}");
+    prop_assert!((back_row - row).abs() <= tolerance, "{row} {col}: {back_row} {back_col}");
     let position = transform.pair.position(row, col).unwrap();
     let from_pole = std::f64::consts::FRAC_PI_2 - position.latitude.0.abs();
-    let turn = target.crs().wraps_with_period().map_or(0.0, |it| it / target.pixel_size()[0]);
-    let off = (back.x - 0.5 - col).abs();
+    let turn = target.period_px().unwrap_or(0.0);
+    let off = (back_col - col).abs();
     // Meridians meet at the poles, and a whole turn is none.
     let off = off.min((off - turn).abs()) * if turn > 0.0 { from_pole.sin() } else { 1.0 };
-    prop_assert!(off <= tolerance, "{row} {col}: {back:?}");
+    prop_assert!(off <= tolerance, "{row} {col}: {back_row} {back_col}");
     Ok(())
 }
 
@@ -390,11 +400,10 @@ proptest! {
         surface in surfaces(), one in straight(), other in round(), third in straight(),
         place in [0.0..=1.0, 0.0..=1.0_f64],
     ) {
-        check_back(&transform(&other.grid(surface), &one.placement(surface)), place)?;
-        if let Some(target) = one.grid(surface) {
-            check_back(&transform(&target, &other.placement(surface)), place)?;
-            check_back(&transform(&target, &third.placement(surface)), place)?;
-        }
+        check_back(&transform(&other.placement(surface), &one.placement(surface)), place)?;
+        let target = one.placement(surface);
+        check_back(&transform(&target, &other.placement(surface)), place)?;
+        check_back(&transform(&target, &third.placement(surface)), place)?;
     }
 }
 
@@ -416,7 +425,7 @@ fn what_is_asked_for_exactly_is_done_one_by_one() {
         posts: true,
         part: None,
     };
-    let (target, source) = (target.grid(surface), source.placement(surface));
+    let (target, source) = (target.placement(surface), source.placement(surface));
     let tile = TargetTile { row: 0, col: 0, rows: 64, cols: 64 };
     let count = |precision| {
         let transform = Transform::new(&target, &source, precision).unwrap();
