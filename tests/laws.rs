@@ -16,6 +16,7 @@ mod laws {
     mod pages;
     mod planets;
     mod registration;
+    mod resampled;
     mod shapes;
     mod truth;
     mod verification;

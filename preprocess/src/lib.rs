@@ -33,6 +33,7 @@ mod shop;
 
 pub mod build;
 pub mod origin;
+pub mod truth;
 
 pub mod mosaic;
 

@@ -88,6 +88,34 @@ fn areas_and_points_lie_where_the_file_says() {
     }
 }
 
+/// The same place on a finer and on a coarser grid, away from the edges, past which there is nothing
+/// to go on with.
+#[test]
+fn a_ramp_on_another_grid_keeps_its_place() {
+    let ramp = Ramp { first: [170.3, -10.0], pixel: [0.5, 0.5], size: (81, 71) };
+    let raster = ramp.raster();
+    let folder = TempDir::new().unwrap();
+    let file = Writing::of(&raster, Samples::Float32).write(&raster, folder.path(), "ramp.tif");
+    let mut random = Random(9);
+    let points: Vec<[f64; 2]> =
+        (0..500).map(|_| [178.0 + 20.0 * random.unit(), -20.0 - 20.0 * random.unit()]).collect();
+    for (at, options) in
+        [["--pixel-size-m", "31234"], ["--pixel-size-m", "77777"], ["--grid", "equirectangular"]]
+            .into_iter()
+            .enumerate()
+    {
+        for kernel in ["bilinear", "cubic", "lanczos", "spline"] {
+            let catalog = folder.path().join(format!("{kernel} {at}"));
+            let options = [&options[..], &["--kernel", kernel, "--page-size", "18"]].concat();
+            ingest(&catalog, &file, &options);
+            for (point, found) in points.iter().zip(heights(&catalog, &points, &[])) {
+                let error = (found.unwrap() - ramp.height(*point)).abs();
+                assert!(error < 1e-3 * STEP, "{options:?}: {point:?} is {error} m off");
+            }
+        }
+    }
+}
+
 /// A world file gives the center of the first pixel.
 #[test]
 fn a_picture_lies_where_its_world_file_says() {

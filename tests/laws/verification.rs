@@ -11,7 +11,7 @@ use areoid_formats::catalog::{Build, Catalog, Existing, NewDataset, RealDisk, pu
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::support::areoid::{areoid, assert_verified, ingest, only_archive};
+use crate::support::areoid::{areoid, areoid_json, assert_verified, ingest, only_archive};
 use crate::support::geotiff::{Samples, Writing};
 use crate::support::levels::Edge;
 use crate::support::raster::{Place, Random, Raster};
@@ -83,6 +83,40 @@ fn complaints(catalog: &Path, options: &[&str]) -> String {
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(report["ok"], false);
     report["problems"].to_string()
+}
+
+#[test]
+fn a_source_error_halved_by_hand_is_found() {
+    let mut random = Random(45);
+    let place = Place::Globe(Edge::PoleOnOutline, Edge::PoleOnOutline);
+    let raster = Raster::new(place, (64, 128), Some((1.0, 0.0)), |_, _| {
+        (random.unit() * 900.0).round() as f32
+    });
+    let folder = TempDir::new().unwrap();
+    let file =
+        Writing::of(&raster, Samples::Int16(-9999)).write(&raster, folder.path(), "raster.tif");
+    let catalog = folder.path().join("catalog");
+    ingest(&catalog, &file, &["--page-size", "18", "--grid", "polar-north"]);
+    assert_verified(&catalog, &file);
+
+    let archive = only_archive(&catalog);
+    let opened = Catalog::open(&catalog).unwrap();
+    let bytes = fs::read(opened.archive_path(&opened.datasets()[0])).unwrap();
+    let entries = archive.entries().unwrap();
+    let finest = archive.description().grid.pyramid().finest();
+    let leaves = || entries.iter().filter(|entry| entry.page.level == finest);
+    let worst = leaves().map(|entry| entry.source_error).fold(0.0, f32::max);
+    let victim = leaves().find(|entry| entry.source_error == worst).unwrap().page;
+    let (damaged, written) = rewritten(&bytes, &archive, |entry| {
+        let halved = PageEntry { source_error: entry.source_error / 2.0, ..entry };
+        if entry.page == victim { halved } else { entry }
+    });
+    replace(&catalog, &damaged, &written);
+    let against = ["--against", file.to_str().unwrap(), "--dataset", "raster"];
+    let found = complaints(&catalog, &against);
+    assert!(found.contains(&victim.to_string()), "{victim} is not named: {found}");
+    // Without the raster there is nothing to hold it against.
+    areoid_json(&["verify", catalog.to_str().unwrap()]);
 }
 
 #[test]

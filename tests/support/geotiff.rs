@@ -34,7 +34,7 @@ pub(crate) enum Samples {
     /// Missing ones as this value, which the file declares.
     Float32With(f32),
     /// Codes of red, green and blue; missing ones without alpha.
-    #[allow(dead_code, reason = "the laws make their colors in memory")]
+    #[allow(dead_code, reason = "only the laws look at colors")]
     Color,
 }
 

@@ -23,7 +23,9 @@ use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleTy
 use crate::resample::kernel::RangeLimit;
 use crate::resample::target::{TargetMap, TargetRequest, target_grid};
 use crate::resample::transform::Precision;
+use crate::resample::truth::SourcePixels;
 use crate::resample::{self, Resampler};
+use crate::truth::Truth;
 
 /// Opens the rasters and decides what becomes of them.
 pub(super) fn plan(
@@ -227,8 +229,9 @@ fn read_chunk(file: &mut File, chunk: &mut Vec<u8>) -> io::Result<usize> {
 ///
 /// # Errors
 ///
-/// [`IngestError`] if they cannot be read, or do not lie on the archive's grid.
-pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Mosaic, IngestError> {
+/// [`IngestError`] if they cannot be read, or do not lie on the archive's grid: all of it if leaves
+/// are their pixels, any of it if they were resampled.
+pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Box<dyn Truth>, IngestError> {
     let description = archive.description();
     let source = &description.source;
     let reading = Reading {
@@ -241,13 +244,21 @@ pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Mosaic, IngestErro
             .find(|&kind| source.latitudes.as_deref() == Some(latitudes_name(kind))),
     };
     let (rasters, crs, _) = open(paths, &reading, Some(&description.body))?;
-    let page_side = description.grid.pyramid().page_side();
-    let mosaic = Mosaic::new(rasters, crs, description.kind, page_side)?;
-    if *mosaic.grid() != description.grid {
+    let (grid, kind) = (&description.grid, description.kind);
+    let (on_grid, truth): (bool, Box<dyn Truth>) = if description.resampling.is_some() {
+        let layout = Layout::new(rasters, crs)?;
+        let placement = layout.placement()?;
+        let pixels = SourcePixels::new(grid.clone(), &layout, placement, kind)?;
+        (pixels.are_on_grid(), Box::new(pixels))
+    } else {
+        let mosaic = Mosaic::new(rasters, crs, kind, grid.pyramid().page_side())?;
+        (mosaic.grid() == grid, Box::new(mosaic))
+    };
+    if !on_grid {
         let dataset = &description.dataset;
         let reason =
             format!("the rasters do not lie on the grid of {dataset}: was it made from them?");
         return Err(IngestError::Request(reason));
     }
-    Ok(mosaic)
+    Ok(truth)
 }

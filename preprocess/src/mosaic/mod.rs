@@ -6,6 +6,7 @@
 
 mod layout;
 mod leaf;
+mod truth;
 
 pub use self::layout::{Layout, MosaicError, Placed};
 

@@ -244,3 +244,6 @@ fn weights(codes: &[u8], at: usize, side: usize, right: f64, below: f64) -> Opti
     }
     (valid >= 1.0 - NO_WEIGHT).then(|| weights.map(|weight| weight / valid))
 }
+
+#[cfg(test)]
+mod tests;

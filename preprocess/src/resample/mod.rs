@@ -29,6 +29,8 @@ mod error;
 
 mod leaf;
 
+pub mod truth;
+
 use std::sync::Arc;
 
 use areoid_formats::address::PageAddress;

@@ -55,6 +55,12 @@ impl Rasters {
         self.parts.iter().map(|part| part.blocks.decoded()).sum()
     }
 
+    /// Bytes of the blocks that are kept now.
+    #[cfg(test)]
+    pub(super) fn resident_bytes(&self) -> u64 {
+        self.parts.iter().map(|part| part.blocks.resident_bytes()).sum()
+    }
+
     /// Blocks of all rasters.
     #[must_use]
     pub fn blocks(&self) -> u64 {

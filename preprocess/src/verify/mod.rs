@@ -28,8 +28,8 @@ use self::bounds::{check_bounds, suprema};
 use self::pages::check_page;
 use self::reader::Reader;
 use self::source::measure;
-use crate::build::Leaves;
 use crate::raster::RasterError;
+use crate::truth::Truth;
 
 /// What a verification found.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -79,12 +79,12 @@ pub enum VerifyError {
     Raster(#[from] RasterError),
 }
 
-/// Bytes, laws 1 to 4, and, with `source`, the error against the source on the same grid.
+/// Bytes, laws 1 to 4, and, with `source`, the error against what the dataset was made from.
 ///
 /// # Errors
 ///
 /// [`VerifyError`] if something cannot be read at all; damage is in the report.
-pub fn verify(archive: &Archive, source: Option<&dyn Leaves>) -> Result<Report, VerifyError> {
+pub fn verify(archive: &Archive, source: Option<&dyn Truth>) -> Result<Report, VerifyError> {
     let mut report = Report { problems: archive.damage()?, ..Report::default() };
     let pyramid = archive.description().grid.pyramid();
     let entries: HashMap<PageAddress, PageEntry> =

@@ -37,7 +37,8 @@ impl Pair {
     }
 
     pub(super) fn back(&self, u: f64, v: f64) -> Option<(f64, f64)> {
-        let shown = self.target.crs.project(self.source.geographic_from_pixel(u, v)?)?;
+        let position = self.source.crs.unproject(self.source.map_from_pixel(u, v))?;
+        let shown = self.target.crs.project(position)?;
         let (col, row) = self.target.pixel_from_map(shown);
         Some((row, col))
     }
