@@ -154,8 +154,9 @@ enum GridArg {
     Split,
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum KernelArg {
+/// A kernel, without the degree of a spline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum KernelArg {
     Nearest,
     Bilinear,
     Cubic,
@@ -168,6 +169,21 @@ enum KernelArg {
 enum LatitudesArg {
     Planetographic,
     Planetocentric,
+}
+
+impl KernelArg {
+    /// The kernel, of degree `spline_degree` if it is a spline: 3, else 5.
+    pub(crate) fn kernel(self, spline_degree: u8) -> Kernel {
+        match self {
+            Self::Nearest => Kernel::Nearest,
+            Self::Bilinear => Kernel::Bilinear,
+            Self::Cubic => Kernel::Cubic,
+            Self::Lanczos => Kernel::Lanczos,
+            Self::Spline if spline_degree == 3 => Kernel::CubicSpline,
+            Self::Spline => Kernel::QuinticSpline,
+            Self::Average => Kernel::Average,
+        }
+    }
 }
 
 impl Args {
@@ -231,17 +247,7 @@ impl Args {
                 GridArg::PolarSouth => TargetMap::Polar(Pole::South),
             },
             pixel_size: self.pixel_size_m.map(Meters),
-            kernel: match self.kernel.unwrap_or(KernelArg::Spline) {
-                KernelArg::Nearest => Kernel::Nearest,
-                KernelArg::Bilinear => Kernel::Bilinear,
-                KernelArg::Cubic => Kernel::Cubic,
-                KernelArg::Lanczos => Kernel::Lanczos,
-                KernelArg::Spline => match self.spline_degree {
-                    3 => Kernel::CubicSpline,
-                    _ => Kernel::QuinticSpline,
-                },
-                KernelArg::Average => Kernel::Average,
-            },
+            kernel: self.kernel.unwrap_or(KernelArg::Spline).kernel(self.spline_degree),
             limit: if self.limit_range { RangeLimit::Taps } else { RangeLimit::None },
             page_side: self.page_size,
             priority: self.priority,

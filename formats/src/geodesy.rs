@@ -53,9 +53,9 @@ impl Geographic {
 /// an angle that is itself rounded: ±[`FRAC_PI_2`] is the pole, with a cosine of exactly 0.
 pub(crate) fn sin_cos_of_latitude(latitude: Radians) -> (f64, f64) {
     if latitude.0.abs() <= FRAC_PI_4 {
-        return latitude.0.sin_cos();
+        return libm::sincos(latitude.0);
     }
-    let (cosine, sine) = (FRAC_PI_2 - latitude.0.abs()).sin_cos();
+    let (cosine, sine) = libm::sincos(FRAC_PI_2 - latitude.0.abs());
     (sine.copysign(latitude.0), cosine)
 }
 
@@ -63,7 +63,7 @@ pub(crate) fn sin_cos_of_latitude(latitude: Radians) -> (f64, f64) {
 #[must_use]
 pub fn surface_normal(position: Geographic) -> DVec3 {
     let (sin_latitude, cos_latitude) = sin_cos_of_latitude(position.latitude);
-    let (sin_longitude, cos_longitude) = position.longitude.0.sin_cos();
+    let (sin_longitude, cos_longitude) = libm::sincos(position.longitude.0);
     DVec3::new(cos_latitude * cos_longitude, cos_latitude * sin_longitude, sin_latitude)
 }
 
@@ -73,11 +73,11 @@ pub fn surface_normal(position: Geographic) -> DVec3 {
 /// On the axis the longitude is 0.
 #[must_use]
 pub fn geographic_from_normal(normal: DVec3) -> Geographic {
-    let distance_from_axis = normal.x.hypot(normal.y);
-    let longitude = if distance_from_axis == 0.0 { 0.0 } else { normal.y.atan2(normal.x) };
+    let distance_from_axis = libm::hypot(normal.x, normal.y);
+    let longitude = if distance_from_axis == 0.0 { 0.0 } else { libm::atan2(normal.y, normal.x) };
     Geographic {
         longitude: Radians(longitude).wrapped(),
-        latitude: Radians(normal.z.atan2(distance_from_axis)),
+        latitude: Radians(libm::atan2(normal.z, distance_from_axis)),
     }
 }
 
@@ -124,12 +124,13 @@ impl Ellipsoid {
     /// A few rounding errors of the radius or the distance from the center, whichever is larger.
     #[must_use]
     pub fn geographic_from_cartesian(&self, point: DVec3) -> (Geographic, Meters) {
-        let (r, z) = (point.x.hypot(point.y), point.z.abs());
+        let (r, z) = (libm::hypot(point.x, point.y), point.z.abs());
         let (foot, normal) = self.foot_of_normal(r, z);
         let height = (r - foot.0) * normal.0 + (z - foot.1) * normal.1;
 
-        let longitude = if r == 0.0 { 0.0 } else { point.y.atan2(point.x) };
-        let latitude = normal.1.atan2(normal.0).copysign(if z == 0.0 { 1.0 } else { point.z });
+        let longitude = if r == 0.0 { 0.0 } else { libm::atan2(point.y, point.x) };
+        let latitude =
+            libm::atan2(normal.1, normal.0).copysign(if z == 0.0 { 1.0 } else { point.z });
         let position =
             Geographic { longitude: Radians(longitude).wrapped(), latitude: Radians(latitude) };
         (position, Meters(height))
@@ -153,7 +154,7 @@ impl Ellipsoid {
 
         let (a, b) = (self.a().0, self.b().0);
         let (a2, b2) = (a * a, b * b);
-        let distance = r.hypot(z);
+        let distance = libm::hypot(r, z);
 
         // Unknown: s = t + b², which keeps its digits where t comes near -b². Each start makes F at
         // least 0: the first two by one term alone, the third because x / (t + x²) is least at an
@@ -166,7 +167,7 @@ impl Ellipsoid {
             let foot_r = if focal2 > 0.0 { a2 * r / focal2 } else { 0.0 };
             let foot_z = b * (1.0 - (foot_r / a).powi(2)).max(0.0).sqrt();
             let (normal_r, normal_z) = (foot_r / a2, foot_z / b2);
-            let length = normal_r.hypot(normal_z);
+            let length = libm::hypot(normal_r, normal_z);
             return ((foot_r, foot_z), (normal_r / length, normal_z / length));
         }
         for _ in 0..MOST_STEPS {
@@ -181,7 +182,7 @@ impl Ellipsoid {
         }
 
         let (normal_r, normal_z) = (r / (s + focal2), z / s);
-        let length = normal_r.hypot(normal_z);
+        let length = libm::hypot(normal_r, normal_z);
         let foot = (a2 * normal_r, b2 * normal_z);
         (foot, (normal_r / length, normal_z / length))
     }
@@ -199,7 +200,7 @@ impl Ellipsoid {
         }
         let (sine, cosine) = sin_cos_of_latitude(latitude);
         let (a, b) = (self.a().0, self.b().0);
-        Radians((b * b * sine).atan2(a * a * cosine))
+        Radians(libm::atan2(b * b * sine, a * a * cosine))
     }
 
     /// The angle of the surface's normal where the line from the center at a planetocentric
@@ -215,6 +216,6 @@ impl Ellipsoid {
         }
         let (sine, cosine) = sin_cos_of_latitude(latitude);
         let (a, b) = (self.a().0, self.b().0);
-        Radians((a * a * sine).atan2(b * b * cosine))
+        Radians(libm::atan2(a * a * sine, b * b * cosine))
     }
 }

@@ -1,5 +1,5 @@
 //! Writing `GeoTIFF`s as planetary archives have them: DEFLATE with horizontal differencing, in
-//! tiles or strips, on Mars's sphere.
+//! tiles or strips, on Mars's sphere, the globe or a hemisphere.
 //!
 //! The encoder of the `tiff` crate writes no tiles. Blocks are written as their rows are made; the
 //! directory follows them, and the header is pointed at it last:
@@ -26,7 +26,7 @@ use flate2::write::ZlibEncoder;
 use rayon::prelude::*;
 
 /// Radius of the sphere that Mars's data products are on, in meters.
-const MARS_RADIUS_M: f64 = 3_396_190.0;
+pub(super) const MARS_RADIUS_M: f64 = 3_396_190.0;
 
 /// Files whose samples take more than this are `BigTIFF`s.
 const CLASSIC_BYTES: u64 = 3_500_000_000;
@@ -40,22 +40,43 @@ pub(super) enum Blocks {
     Strips(u32),
 }
 
-/// A global raster, sample by sample.
+/// What a raster shows of Mars.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    /// All of it, longitude by latitude.
+    Globe,
+    /// Its northern half, likewise.
+    Half,
+    /// The northern hemisphere about the pole, polar stereographic: so many pixels from the pole to
+    /// the equator.
+    North {
+        /// Pixels.
+        radius_px: u32,
+    },
+}
+
+/// A raster, sample by sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Format {
     pub(super) width: u32,
     pub(super) height: u32,
     /// 1 or 3.
     pub(super) bands: u16,
-    /// 1, unsigned, or 2, signed.
+    /// 1, unsigned, 2, signed, or 4, floating point.
     pub(super) sample_bytes: u16,
     pub(super) missing: Option<i16>,
+    pub(super) place: Place,
     pub(super) blocks: Blocks,
 }
 
 impl Format {
     fn pixel_bytes(&self) -> usize {
         usize::from(self.bands) * usize::from(self.sample_bytes)
+    }
+
+    /// Floating-point samples are stored as they are.
+    fn is_differenced(&self) -> bool {
+        self.sample_bytes < 4
     }
 
     /// Width and height of a block, as it is stored.
@@ -119,7 +140,9 @@ impl Format {
             if let Some(source) = band.get(row * stride..(row + 1) * stride) {
                 line[..end - start].copy_from_slice(&source[start..end]);
             }
-            difference(&mut line, usize::from(self.bands), usize::from(self.sample_bytes));
+            if self.is_differenced() {
+                difference(&mut line, usize::from(self.bands), usize::from(self.sample_bytes));
+            }
             encoder.write_all(&line)?;
         }
         encoder.finish()
@@ -128,8 +151,13 @@ impl Format {
     fn tags(&self, offsets: Vec<u64>, lengths: Vec<u64>) -> Vec<(u16, Values)> {
         use Values::{Double, Long, Place, Short, Text};
         let bands = usize::from(self.bands);
-        let format = if self.sample_bytes == 2 { 2 } else { 1 };
-        let [dx, dy] = [360.0 / f64::from(self.width), 180.0 / f64::from(self.height)];
+        let format = match self.sample_bytes {
+            1 => 1,
+            2 => 2,
+            _ => 3,
+        };
+        let [left, top, dx, dy] = self.place.corner_and_pixel((self.width, self.height));
+        let (keys, numbers) = self.place.keys();
         let mut tags = vec![
             (256, Long(vec![self.width])),
             (257, Long(vec![self.height])),
@@ -138,12 +166,12 @@ impl Format {
             (262, Short(vec![if self.bands == 3 { 2 } else { 1 }])),
             (277, Short(vec![self.bands])),
             (284, Short(vec![1])),
-            (317, Short(vec![2])),
+            (317, Short(vec![if self.is_differenced() { 2 } else { 1 }])),
             (339, Short(vec![format; bands])),
             (33550, Double(vec![dx, dy, 0.0])),
-            (33922, Double(vec![0.0, 0.0, 0.0, -180.0, 90.0, 0.0])),
-            (34735, Short(GEO_KEYS.to_vec())),
-            (34736, Double(vec![MARS_RADIUS_M, MARS_RADIUS_M])),
+            (33922, Double(vec![0.0, 0.0, 0.0, left, top, 0.0])),
+            (34735, Short(keys)),
+            (34736, Double(numbers)),
             (34737, Text(CITATION.to_owned())),
         ];
         tags.extend(match self.blocks {
@@ -168,18 +196,70 @@ impl Format {
 
 const CITATION: &str = "Mars 2000 Sphere|";
 
-/// Geographic, cells, on a sphere whose radii are the two doubles.
-const GEO_KEYS: [u16; 36] = [
-    1, 1, 0, 8, // version, and how many keys
-    1024, 0, 1, 2, // geographic
-    1025, 0, 1, 1, // cells
-    2048, 0, 1, 32767, // a system of its own
-    2049, 34737, 17, 0, // its name
-    2050, 0, 1, 32767, // a datum of its own
-    2054, 0, 1, 9102, // degrees
-    2057, 34736, 1, 0, // semi-major axis
-    2058, 34736, 1, 1, // semi-minor axis
-];
+impl Place {
+    /// Left, top, and the pixel's width and height, in degrees or meters.
+    pub(super) fn corner_and_pixel(self, (width, height): (u32, u32)) -> [f64; 4] {
+        match self {
+            Self::Globe => [-180.0, 90.0, 360.0 / f64::from(width), 180.0 / f64::from(height)],
+            Self::Half => [-180.0, 90.0, 360.0 / f64::from(width), 90.0 / f64::from(height)],
+            Self::North { radius_px } => {
+                // Map meters from the pole to the equator: 2 R tan 45°.
+                let pixel = 2.0 * MARS_RADIUS_M / f64::from(radius_px);
+                [-pixel * f64::from(width) / 2.0, pixel * f64::from(height) / 2.0, pixel, pixel]
+            }
+        }
+    }
+
+    /// The same as a PROJ string.
+    pub(super) fn proj(self) -> String {
+        match self {
+            Self::Globe | Self::Half => format!("+proj=longlat +R={MARS_RADIUS_M} +no_defs"),
+            Self::North { .. } => {
+                format!(
+                    "+proj=stere +lat_0=90 +lon_0=0 +k=1 +x_0=0 +y_0=0 +R={MARS_RADIUS_M} +units=m +no_defs"
+                )
+            }
+        }
+    }
+
+    /// The directory of keys, and the numbers it points to.
+    fn keys(self) -> (Vec<u16>, Vec<f64>) {
+        const RADII: [f64; 2] = [MARS_RADIUS_M, MARS_RADIUS_M];
+        match self {
+            Self::Globe | Self::Half => (key_directory(&[(1024, 2)], &[]), RADII.to_vec()),
+            Self::North { .. } => {
+                let system = [(1024, 1)];
+                // A projection of its own, polar stereographic, in meters.
+                let map = [(3072, 32767), (3074, 32767), (3075, 15), (3076, 9001)];
+                let numbers = [90.0, 0.0, 0.0, 1.0, 0.0];
+                let [latitude, easting, northing, scale, longitude] =
+                    [3081, 3082, 3083, 3092, 3095];
+                let names = [latitude, easting, northing, scale, longitude];
+                let keys = key_directory(&[&system[..], &map[..]].concat(), &names);
+                (keys, [&RADII[..], &numbers[..]].concat())
+            }
+        }
+    }
+}
+
+/// Keys of a system on a sphere whose radii are the first two numbers, cells, with more keys that
+/// say a value, and keys that name the numbers behind the radii.
+fn key_directory(values: &[(u16, u16)], numbers: &[u16]) -> Vec<u16> {
+    let mut keys: Vec<[u16; 4]> = vec![
+        [1025, 0, 1, 1],      // cells
+        [2048, 0, 1, 32767],  // a system of its own
+        [2049, 34737, 17, 0], // its name
+        [2050, 0, 1, 32767],  // a datum of its own
+        [2054, 0, 1, 9102],   // degrees
+        [2057, 34736, 1, 0],  // semi-major axis
+        [2058, 34736, 1, 1],  // semi-minor axis
+    ];
+    keys.extend(values.iter().map(|&(key, value)| [key, 0, 1, value]));
+    keys.extend(numbers.iter().zip(2..).map(|(&key, at)| [key, 34736, 1, at]));
+    keys.sort_unstable();
+    let count = u16::try_from(keys.len()).expect("a few keys");
+    [[1, 1, 0, count]].into_iter().chain(keys).flatten().collect()
+}
 
 /// Horizontal differencing (predictor 2), of one row.
 pub(super) fn difference(line: &mut [u8], bands: usize, sample_bytes: usize) {
@@ -319,7 +399,9 @@ mod tests {
             for offsets in [Offsets::Four, Offsets::Eight] {
                 for (bands, sample_bytes, missing) in [(1, 2, Some(-32_768)), (3, 1, None)] {
                     let (width, height) = (74, 37);
-                    let format = Format { width, height, bands, sample_bytes, missing, blocks };
+                    let place = Place::Globe;
+                    let format =
+                        Format { width, height, bands, sample_bytes, missing, place, blocks };
                     let file = tempfile::Builder::new().suffix(".tif").tempfile().unwrap();
                     format
                         .write_to(file.as_file(), offsets, |rows| samples(&format, rows))

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::peers::Peers;
 use super::rasters::{Look, Recipe};
 use super::report::{Chapter, Report, Table, cores};
-use super::{pairs, scaling, size, tightness, timing};
+use super::{pairs, scaling, size, tightness, timing, warp};
 use crate::failure::Failure;
 use crate::output;
 
@@ -44,6 +44,10 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE", num_args = 1..)]
     raster: Vec<PathBuf>,
 
+    /// A Python whose `osgeo` warps, beside the gdalwarp on the path.
+    #[arg(long, value_name = "FILE")]
+    python: Option<PathBuf>,
+
     /// Print the JSON instead of the tables.
     #[arg(long)]
     json: bool,
@@ -71,6 +75,8 @@ enum ChapterArg {
     Size,
     /// From small maps to large ones.
     Scaling,
+    /// From one map to another.
+    Warp,
 }
 
 /// Where a raster of Mars is, if the current folder is the project's.
@@ -115,9 +121,15 @@ impl Args {
             cores: cores(),
             pixels_share: megapixels / FULL_MEGAPIXELS,
             given,
-            peers: Peers::find(),
+            peers: Peers::find(self.python.as_deref()),
         };
-        let all = [ChapterArg::Pairs, ChapterArg::Tightness, ChapterArg::Size, ChapterArg::Scaling];
+        let all = [
+            ChapterArg::Pairs,
+            ChapterArg::Tightness,
+            ChapterArg::Size,
+            ChapterArg::Scaling,
+            ChapterArg::Warp,
+        ];
         let wanted = if self.chapter.is_empty() { &all[..] } else { &self.chapter };
         let mut chapters = Vec::new();
         for chapter in wanted {
@@ -128,6 +140,7 @@ impl Args {
                 ChapterArg::Tightness => tightness::measure(&setting)?,
                 ChapterArg::Size => size::measure(&setting)?,
                 ChapterArg::Scaling => scaling::measure(&setting)?,
+                ChapterArg::Warp => warp::measure(&setting)?,
             });
         }
         timing::remove(&setting.work())?;

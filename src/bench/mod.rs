@@ -4,7 +4,8 @@
 //!   terrain ─▶ geotiff ─▶ rasters ─┬─▶ pairs      ingest against what others do, run by run
 //!                                  ├─▶ tightness  bounds against exact errors
 //!   timing, peers ─────────────────┼─▶ size       bytes at zero error, and how fast they decode
-//!                                  └─▶ scaling    time and memory from small maps to large
+//!                                  ├─▶ scaling    time and memory from small maps to large
+//!   waves ─────────────────────────┴─▶ warp       resampling: time and error beside gdalwarp
 //!                                        └─▶ report: JSON, tables, targets
 //! ```
 //!
@@ -18,11 +19,14 @@ mod pairs;
 mod peers;
 mod rasters;
 mod report;
+mod resample;
 mod scaling;
 mod size;
 mod terrain;
 mod tightness;
 mod timing;
+mod warp;
+mod waves;
 
 use std::process::ExitCode;
 
@@ -40,6 +44,8 @@ enum Book {
     Ingest(ingest::Args),
     #[command(hide = true)]
     Decode(decode::Args),
+    #[command(hide = true)]
+    Resample(resample::Args),
 }
 
 impl Args {
@@ -47,6 +53,7 @@ impl Args {
         match self.book {
             Book::Ingest(args) => args.run(),
             Book::Decode(args) => args.run(),
+            Book::Resample(args) => args.run(),
         }
     }
 }

@@ -95,12 +95,12 @@ fn contenders(setting: &Setting, raster: &std::path::Path) -> Vec<Contender> {
     ];
     all.into_iter()
         .filter_map(|(name, place, steps)| {
-            Some(Contender { name, steps: steps?, folder: folder(place) })
+            Some(Contender { name: name.to_owned(), steps: steps?, folder: folder(place) })
         })
         .collect()
 }
 
-fn find<'a>(runs: &'a [Runs], name: &str) -> Option<&'a Runs> {
+pub(super) fn find<'a>(runs: &'a [Runs], name: &str) -> Option<&'a Runs> {
     runs.iter().find(|runs| runs.name == name)
 }
 
@@ -125,7 +125,7 @@ fn table(setting: &Setting, recipe: &Recipe, all: &[Runs]) -> Table {
     let ours = find(all, AREOID);
     let rows = all.iter().map(|runs| {
         if let Some(reason) = &runs.failed {
-            return vec![runs.name.to_owned(), reason.clone()];
+            return vec![runs.name.clone(), reason.clone()];
         }
         let text = |spread: Option<super::report::Spread>, digits| {
             spread.map_or_else(|| "–".to_owned(), |spread| spread.text(digits))
@@ -133,7 +133,7 @@ fn table(setting: &Setting, recipe: &Recipe, all: &[Runs]) -> Table {
         let other = ours.filter(|ours| ours.name != runs.name);
         let cores = setting.cores as f64;
         vec![
-            runs.name.to_owned(),
+            runs.name.clone(),
             text(runs.spread(|taken| taken.wall_s), 2),
             text(runs.spread(|taken| taken.cpu_s), 2),
             text(runs.spread(|taken| taken.system_s), 2),

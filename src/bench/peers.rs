@@ -20,12 +20,19 @@ pub(super) struct Peers {
 }
 
 /// The programs, and how each is asked for its version.
-const PROGRAMS: [(&str, &str); 3] =
-    [("vips", "--version"), ("lz4", "--version"), ("gdal_translate", "--version")];
+const PROGRAMS: [(&str, &str); 4] = [
+    ("vips", "--version"),
+    ("lz4", "--version"),
+    ("gdal_translate", "--version"),
+    ("gdalwarp", "--version"),
+];
+
+/// What a Python is called here that has GDAL.
+const PYTHON: &str = "python osgeo";
 
 impl Peers {
-    /// Looks for all of them on the `PATH`.
-    pub(super) fn find() -> Self {
+    /// Looks for all of them on the `PATH`; `python` is one that has GDAL.
+    pub(super) fn find(python: Option<&Path>) -> Self {
         let find = |&(name, version): &(&'static str, &str)| {
             let found = on_path(name).map(|path| {
                 let said = Command::new(&path).arg(version).output();
@@ -37,7 +44,16 @@ impl Peers {
             });
             Peer { name, found }
         };
-        Self { peers: PROGRAMS.iter().map(find).collect() }
+        let mut peers: Vec<Peer> = PROGRAMS.iter().map(find).collect();
+        let found = python.and_then(|python| {
+            let mut command = Command::new(python);
+            command.args(["-c", "from osgeo import gdal; print(gdal.VersionInfo('--version'))"]);
+            let said = command.output().ok().filter(|said| said.status.success())?;
+            let line = String::from_utf8_lossy(&said.stdout).trim().to_owned();
+            Some((python.to_owned(), line))
+        });
+        peers.push(Peer { name: PYTHON, found });
+        Self { peers }
     }
 
     /// Where a program is.
@@ -121,6 +137,22 @@ impl Peers {
         }
         command.arg(raster).arg(folder.join("cog.tif"));
         Some(vec![command])
+    }
+
+    /// gdalwarp from the `PATH` with `arguments`, a raster and what is made of it last.
+    pub(super) fn warp(&self, arguments: &[String]) -> Option<Command> {
+        let mut command = Command::new(self.program("gdalwarp")?);
+        command.arg("-q").args(arguments);
+        Some(command)
+    }
+
+    /// The same by the Python that has GDAL.
+    pub(super) fn python_warp(&self, arguments: &[String]) -> Option<Command> {
+        const SCRIPT: &str = "import sys\nfrom osgeo import gdal\ngdal.UseExceptions()\n\
+                              sys.exit(gdal.Warp(sys.argv[-1], sys.argv[-2], options=sys.argv[1:-2]) is None)";
+        let mut command = Command::new(self.program(PYTHON)?);
+        command.args(["-c", SCRIPT]).args(arguments);
+        Some(command)
     }
 
     /// GDAL decoding a raster into memory, on one thread.

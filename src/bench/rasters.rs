@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::geotiff::{Blocks, Format};
+use super::geotiff::{Blocks, Format, Place};
 use super::terrain::{MISSING, Terrain};
 use crate::output;
 
@@ -82,7 +82,8 @@ impl Recipe {
         };
         let Self { width, height, blocks, look } = *self;
         let missing = (look == Look::Holes).then_some(MISSING);
-        let format = Format { width, height, bands, sample_bytes, missing, blocks };
+        let place = Place::Globe;
+        let format = Format { width, height, bands, sample_bytes, missing, place, blocks };
         let heights = Terrain::heights(width, height);
         let holes = Terrain::holes(width, height);
         format.write(&unfinished, |rows| {
@@ -110,7 +111,7 @@ fn stored(height: f32) -> [u8; 2] {
     (height.round() as i16).max(MISSING + 1).to_le_bytes()
 }
 
-fn with_holes(heights: &[f32], holes: &[f32]) -> Vec<u8> {
+pub(super) fn with_holes(heights: &[f32], holes: &[f32]) -> Vec<u8> {
     let samples = heights.iter().zip(holes);
     samples
         .flat_map(|(&height, &hole)| match Terrain::is_hole(hole) {

@@ -167,7 +167,11 @@ impl Report {
 
 /// Three digits that mean something.
 pub(super) fn rounded(figure: f64) -> String {
-    let digits = if figure.abs() >= 100.0 { 0 } else { 2 };
+    let digits = match figure.abs() {
+        large if large >= 100.0 => 0,
+        small if small > 0.0 && small < 0.1 => 4,
+        _ => 2,
+    };
     format!("{figure:.digits$}")
 }
 

@@ -114,7 +114,8 @@ impl Map {
         let folder = setting.work().join("scaling");
         let mut ingest = setting.ingest(&self.path, &folder.join("catalog"));
         ingest.args(self.memory_mib.map(|mib| format!("--memory-mib={mib}")));
-        let mut contender = Contender { name: "areoid ingest", steps: vec![ingest], folder };
+        let mut contender =
+            Contender { name: "areoid ingest".to_owned(), steps: vec![ingest], folder };
         let (taken, said) = contender.run()?.map_err(io::Error::other)?;
         self.runs.push(taken);
         let said: Value = serde_json::from_str(&said)?;

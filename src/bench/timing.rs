@@ -22,7 +22,7 @@ const LOOK: Duration = Duration::from_millis(5);
 /// What is run: one program, or several one after another.
 #[derive(Debug)]
 pub(super) struct Contender {
-    pub(super) name: &'static str,
+    pub(super) name: String,
     pub(super) steps: Vec<Command>,
     /// Made anew for every run, and removed after it.
     pub(super) folder: PathBuf,
@@ -45,7 +45,7 @@ pub(super) struct Taken {
 /// The counted runs of a contender, or why there are none.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Runs {
-    pub(super) name: &'static str,
+    pub(super) name: String,
     pub(super) runs: Vec<Taken>,
     pub(super) failed: Option<String>,
 }
@@ -71,7 +71,7 @@ impl Runs {
 pub(super) fn race(contenders: &mut [Contender], rounds: usize) -> io::Result<Vec<Runs>> {
     let mut all: Vec<Runs> = contenders
         .iter()
-        .map(|contender| Runs { name: contender.name, runs: Vec::new(), failed: None })
+        .map(|contender| Runs { name: contender.name.clone(), runs: Vec::new(), failed: None })
         .collect();
     for round in 0..=rounds {
         for (contender, runs) in contenders.iter_mut().zip(&mut all) {

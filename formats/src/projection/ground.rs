@@ -59,7 +59,7 @@ impl Crs {
         let [[ex, ey], [nx, ny]] = self.ground_jacobian(position);
         let [width, height] = pixel_size;
         let (ex, ey, nx, ny) = (ex * width, ey * height, nx * width, ny * height);
-        let largest = ((ex + ny).hypot(ey - nx) + (ex - ny).hypot(ey + nx)) / 2.0;
+        let largest = (libm::hypot(ex + ny, ey - nx) + libm::hypot(ex - ny, ey + nx)) / 2.0;
         // By the determinant: the difference of the two square roots would cancel.
         let smallest = if largest == 0.0 { 0.0 } else { (ex * ny - ey * nx).abs() / largest };
         (largest, smallest)
@@ -76,12 +76,12 @@ impl Crs {
         north: f64,
     ) -> [[f64; 2]; 2] {
         let sign = map.pole.sign();
-        let (sine, cosine) = (position.longitude.0 - map.central_meridian.0).sin_cos();
+        let (sine, cosine) = libm::sincos(position.longitude.0 - map.central_meridian.0);
         let radius_per_sine = map.radius_per_sine(&self.ellipsoid, theta);
 
         // Conformality: dρ/dθ = (ρ / sin θ) M / N.
         let e2 = self.ellipsoid.eccentricity_squared();
-        let curvatures = (1.0 - e2) / (1.0 - e2 * theta.cos().powi(2));
+        let curvatures = (1.0 - e2) / (1.0 - e2 * libm::cos(theta).powi(2));
         let along_parallel = east / radius_per_sine;
         let along_meridian = north / (radius_per_sine * curvatures);
 
@@ -105,6 +105,6 @@ impl Crs {
 
     /// cos φ / cos φc = √(cos² φ + sin² φ / q²), with q = (a / b)²: finite at the pole.
     fn sine_per_map_sine(&self, sine: f64, cosine: f64) -> f64 {
-        cosine.hypot(sine / self.latitude_ratio())
+        libm::hypot(cosine, sine / self.latitude_ratio())
     }
 }

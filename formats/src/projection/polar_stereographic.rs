@@ -60,9 +60,9 @@ impl PolarStereographic {
 
     pub(super) fn project(&self, ellipsoid: &Ellipsoid, position: Geographic) -> Option<MapPoint> {
         let theta = self.colatitude(position.latitude)?;
-        let tau = (theta / 2.0).tan();
+        let tau = libm::tan(theta / 2.0);
         let rho = self.radius_at_pole(ellipsoid) * tau * conformal_factor(ellipsoid, tau);
-        let (sine, cosine) = (position.longitude.0 - self.central_meridian.0).sin_cos();
+        let (sine, cosine) = libm::sincos(position.longitude.0 - self.central_meridian.0);
         Some(MapPoint {
             x: rho * sine + self.false_easting.0,
             y: -self.pole.sign() * rho * cosine + self.false_northing.0,
@@ -72,12 +72,12 @@ impl PolarStereographic {
     pub(super) fn unproject(&self, ellipsoid: &Ellipsoid, point: MapPoint) -> Option<Geographic> {
         let easting = point.x - self.false_easting.0;
         let southing = -self.pole.sign() * (point.y - self.false_northing.0);
-        let rho = easting.hypot(southing);
-        let theta = 2.0 * half_tangent(ellipsoid, rho / self.radius_at_pole(ellipsoid)).atan();
+        let rho = libm::hypot(easting, southing);
+        let theta = 2.0 * libm::atan(half_tangent(ellipsoid, rho / self.radius_at_pole(ellipsoid)));
         let theta = Self::within_rim(theta)?;
 
         // At the pole the central meridian is as good as any; atan2 would tell 0 from -0.
-        let turn = if rho == 0.0 { 0.0 } else { easting.atan2(southing) };
+        let turn = if rho == 0.0 { 0.0 } else { libm::atan2(easting, southing) };
         Some(Geographic {
             longitude: Radians(self.central_meridian.0 + turn).wrapped(),
             latitude: Radians(self.pole.sign() * (FRAC_PI_2 - theta)),
@@ -97,7 +97,7 @@ impl PolarStereographic {
 
     /// Map meters from the pole to a unit sine of the colatitude, ρ / sin θ: finite at the pole.
     pub(super) fn radius_per_sine(&self, ellipsoid: &Ellipsoid, theta: f64) -> f64 {
-        let tau = (theta / 2.0).tan();
+        let tau = libm::tan(theta / 2.0);
         // sin θ = 2 τ / (1 + τ²), so that τ itself drops out.
         let half = 0.5 * self.radius_at_pole(ellipsoid) * (1.0 + tau * tau);
         half * conformal_factor(ellipsoid, tau)
@@ -116,7 +116,7 @@ impl PolarStereographic {
             PolarScale::AtPole(scale) => scale,
             PolarScale::TrueAt(parallel) => {
                 let theta = FRAC_PI_2 - parallel.0.abs();
-                let (tau, cosine) = ((theta / 2.0).tan(), theta.cos());
+                let (tau, cosine) = (libm::tan(theta / 2.0), libm::cos(theta));
                 let w = (1.0 - ellipsoid.eccentricity_squared() * cosine * cosine).sqrt();
                 let flattened = ellipsoid.b().0 / ellipsoid.a().0;
                 flattened / ((1.0 + tau * tau) * w * conformal_factor(ellipsoid, tau))
@@ -130,13 +130,13 @@ fn conformal_factor(ellipsoid: &Ellipsoid, tau: f64) -> f64 {
     if ellipsoid.is_sphere() {
         return 1.0;
     }
-    (-conformal_exponent(ellipsoid.eccentricity_squared(), tau)).exp()
+    libm::exp(-conformal_exponent(ellipsoid.eccentricity_squared(), tau))
 }
 
 /// -ln E(τ), which grows from 0 at the pole to 2 e artanh e at the other.
 fn conformal_exponent(e2: f64, tau: f64) -> f64 {
     let (e, tau2) = (e2.sqrt(), tau * tau);
-    e * (2.0 * e * tau2 / ((1.0 - e2) + (1.0 + e2) * tau2)).atanh()
+    e * libm::atanh(2.0 * e * tau2 / ((1.0 - e2) + (1.0 + e2) * tau2))
 }
 
 /// The τ with τ E(τ) = `r`.
@@ -157,7 +157,7 @@ fn half_tangent(ellipsoid: &Ellipsoid, r: f64) -> f64 {
     let e2 = ellipsoid.eccentricity_squared();
     let mut w = conformal_exponent(e2, r);
     for _ in 0..MOST_STEPS {
-        let tau = r * w.exp();
+        let tau = r * libm::exp(w);
         let cosine = (1.0 - tau * tau) / (1.0 + tau * tau);
         let slope = (1.0 - e2) / (1.0 - e2 * cosine * cosine);
         let step = (conformal_exponent(e2, tau) - w) / slope;
@@ -166,7 +166,7 @@ fn half_tangent(ellipsoid: &Ellipsoid, r: f64) -> f64 {
             break;
         }
     }
-    r * w.exp()
+    r * libm::exp(w)
 }
 
 #[cfg(test)]

@@ -1,0 +1,183 @@
+//! How far resampled waves are from the waves.
+
+use std::fs;
+use std::io;
+use std::path::Path;
+use std::process::Stdio;
+
+use areoid_preprocess::raster::{self, ReadOptions, Samples};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::ways::{Direction, Program, Way};
+use crate::bench::geotiff::{Blocks, Format, Place};
+use crate::bench::ingest::Setting;
+use crate::bench::waves::{Position, STRENGTH_M, Waves};
+
+/// Wavelengths, in pixels of the source where they are largest.
+pub(super) const WAVELENGTHS_PX: [f64; 5] = [273.0, 16.0, 8.0, 4.0, 2.5];
+
+/// Where errors are summed up.
+pub(super) const ZONES: [&str; 3] = ["elsewhere", "pole", "antimeridian"];
+
+/// So near a pole is at the pole, in degrees.
+const POLE_DEG: f64 = 2.0;
+
+/// So near ±180° is at the antimeridian, in pixels of the source.
+const SEAM_PX: f64 = 8.0;
+
+/// Errors of a zone, in percent of the signal's strength.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub(super) struct Errors {
+    pub(super) rms: f64,
+    pub(super) max: f64,
+    pub(super) texels: u64,
+    /// Texels without a value where the source has data all around.
+    pub(super) missing: u64,
+}
+
+/// Errors by wavelength and zone.
+pub(super) type ByWave = [[Errors; ZONES.len()]; WAVELENGTHS_PX.len()];
+
+/// Runs each way over waves of each length; `None` of programs that are not there.
+pub(super) fn measure(
+    setting: &Setting,
+    direction: &Direction,
+    ways: &[Way],
+) -> io::Result<Vec<Option<ByWave>>> {
+    let folder = setting.work().join("waves");
+    fs::create_dir_all(&folder)?;
+    let mut all: Vec<Option<ByWave>> = vec![Some(ByWave::default()); ways.len()];
+    let (raster, out) = (folder.join("waves.tif"), folder.join("out.tif"));
+    for (at, &wavelength) in WAVELENGTHS_PX.iter().enumerate() {
+        let (place, size) = direction.source;
+        let waves = Waves::new(wavelength * place.pixel_rad(size));
+        write(&raster, direction.source, &waves)?;
+        let truth = Truth::new(direction, &waves);
+        for (&way, found) in ways.iter().zip(&mut all) {
+            let command = direction.command(setting, way, &raster, &out);
+            let (Some(mut command), Some(found)) = (command, found.as_mut()) else {
+                *found = None;
+                continue;
+            };
+            let done = command.stdin(Stdio::null()).stdout(Stdio::null()).status()?;
+            if !done.success() {
+                return Err(io::Error::other(format!("{} failed", way.name())));
+            }
+            let samples = match way.program {
+                Program::Areoid => headerless(&fs::read(&out)?),
+                Program::GdalWarp | Program::Python => tiff(&out, direction.target.1)?,
+            };
+            fs::remove_file(&out)?;
+            found[at] = truth.errors(&samples);
+        }
+    }
+    fs::remove_dir_all(&folder)?;
+    Ok(all)
+}
+
+/// A raster of waves, floating point.
+fn write(
+    path: &Path,
+    (place, (width, height)): (Place, (u32, u32)),
+    waves: &Waves,
+) -> io::Result<()> {
+    let format = Format {
+        width,
+        height,
+        bands: 1,
+        sample_bytes: 4,
+        missing: None,
+        place,
+        blocks: Blocks::Tiles(512),
+    };
+    format.write(path, |rows| {
+        let row = |row: u32| {
+            let heights = (0..width).map(move |col| place.position((width, height), row, col));
+            let heights = heights.map(|position| waves.at(position.vector()));
+            heights.flat_map(|height| (height as f32).to_le_bytes()).collect::<Vec<u8>>()
+        };
+        rows.into_par_iter().map(row).collect::<Vec<_>>().concat()
+    })
+}
+
+/// What a target should be.
+struct Truth {
+    heights: Vec<f64>,
+    zones: Vec<u8>,
+}
+
+impl Truth {
+    fn new(direction: &Direction, waves: &Waves) -> Self {
+        let (place, (width, height)) = direction.target;
+        let (source, size) = direction.source;
+        let seam = SEAM_PX * source.pixel_rad(size);
+        let texels = (0..height).into_par_iter().flat_map_iter(|row| {
+            (0..width).map(move |col| {
+                let position = place.position((width, height), row, col);
+                (waves.at(position.vector()), zone(position, seam))
+            })
+        });
+        let (heights, zones) = texels.unzip();
+        Self { heights, zones }
+    }
+
+    fn errors(&self, samples: &[f32]) -> [Errors; ZONES.len()] {
+        let mut found = [Errors::default(); ZONES.len()];
+        for ((&height, &zone), &sample) in self.heights.iter().zip(&self.zones).zip(samples) {
+            let Some(errors) = found.get_mut(usize::from(zone)) else { continue };
+            // GDAL leaves 0 where it finds nothing.
+            if sample.is_nan() || sample == 0.0 {
+                errors.missing += 1;
+                continue;
+            }
+            let error = 100.0 * (f64::from(sample) - height).abs() / STRENGTH_M;
+            errors.texels += 1;
+            errors.rms += error * error;
+            errors.max = errors.max.max(error);
+        }
+        for errors in &mut found {
+            errors.rms = (errors.rms / errors.texels.max(1) as f64).sqrt();
+        }
+        found
+    }
+}
+
+/// The samples of a headerless file.
+fn headerless(bytes: &[u8]) -> Vec<f32> {
+    let samples = bytes.chunks_exact(4);
+    samples.map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four of them"))).collect()
+}
+
+/// The samples of a TIFF of floating-point numbers.
+fn tiff(path: &Path, (width, height): (u32, u32)) -> io::Result<Vec<f32>> {
+    let raster = raster::open(path, &ReadOptions::default()).map_err(io::Error::other)?;
+    let mut samples = vec![f32::NAN; width as usize * height as usize];
+    let (across, down) = raster.info().blocks();
+    for (row, col) in (0..down).flat_map(|row| (0..across).map(move |col| (row, col))) {
+        let block = raster.read_block(col, row).map_err(io::Error::other)?;
+        let Samples::F32(read) = &block.samples else {
+            return Err(io::Error::other(format!("{} is not of 32-bit floats", path.display())));
+        };
+        let lines = read.chunks_exact(block.width as usize).zip(block.row as usize..);
+        for (line, row) in lines.take(block.height as usize) {
+            let at = row * width as usize + block.col as usize;
+            samples[at..at + line.len()].copy_from_slice(line);
+        }
+    }
+    Ok(samples)
+}
+
+/// The place in [`ZONES`]; past it where the source need not show anything.
+fn zone(position: Position, seam: f64) -> u8 {
+    let latitude_deg = position.latitude.to_degrees();
+    if latitude_deg < 0.0 {
+        return 3;
+    }
+    let from_seam = (std::f64::consts::PI - position.longitude.abs()) * position.latitude.cos();
+    match () {
+        () if latitude_deg > 90.0 - POLE_DEG => 1,
+        () if from_seam < seam => 2,
+        () => 0,
+    }
+}

@@ -1,0 +1,265 @@
+//! Resampling beside gdalwarp: processor time, and error against fields that are known everywhere.
+//!
+//! ```text
+//!   terrain with holes, 16 bits ─▶ every way ─▶ processor seconds
+//!   plane waves, float ─────────▶ every way ─▶ error by wavelength and zone
+//!   terrain with holes ─▶ ingest into pages | gdalwarp, dzsave, lz4 ─▶ the whole job
+//! ```
+
+mod accuracy;
+mod ways;
+mod whole;
+
+use std::fs;
+use std::io;
+use std::path::PathBuf;
+
+use rayon::prelude::*;
+use serde_json::json;
+
+use self::accuracy::{ByWave, WAVELENGTHS_PX, ZONES};
+use self::ways::{Direction, Places, Program, SHARED, Way};
+use super::geotiff::{Blocks, Format, Place};
+use super::ingest::Setting;
+use super::pairs::find;
+use super::rasters::with_holes;
+use super::report::{Chapter, Relation, Table, Target};
+use super::terrain::{MISSING, Terrain};
+use super::timing::{Contender, Runs, race};
+use crate::failure::Failure;
+use crate::output;
+
+/// Pixels along a side of the polar map at full size.
+const SIDE: f64 = 8192.0;
+
+/// The maps whose errors are measured have so many times fewer pixels along a side.
+const SMALLER: u32 = 4;
+
+/// At least so many times GDAL's texels per processor second, kernel for kernel.
+const FASTER: f64 = 3.0;
+
+/// Errors may be so many times those of GDAL's exact places.
+const NO_HIGHER: f64 = 1.01;
+
+/// The spline's error at wavelengths, in percent of the signal: place among them, and limit.
+const SPLINE_RMS: [(usize, f64); 2] = [(1, 0.005), (2, 0.05)];
+
+/// The kernel of an ingest that is not told one.
+const DEFAULT: Way = Way::new(Program::Areoid, "spline 5", Places::Own);
+
+/// Measures.
+pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a width")]
+    let side = (SIDE * setting.pixels_share.sqrt()).round().max(256.0) as u32;
+    let side = side.next_multiple_of(64);
+    let ways = Way::all();
+    let (mut tables, mut targets, mut data) = (Vec::new(), Vec::new(), Vec::new());
+    let large = Direction::both(side);
+    for (direction, small) in large.into_iter().zip(Direction::both(side / SMALLER)) {
+        let raster = terrain(setting, direction.source)?;
+        output::say(format!("running {}", direction.name));
+        let runs = race(&mut contenders(setting, &direction, &ways, &raster), setting.runs)?;
+        output::say(format!("errors of {}", direction.name));
+        let errors = accuracy::measure(setting, &small, &ways)?;
+        tables.push(speeds(&direction, &runs));
+        tables.extend(ZONES.iter().enumerate().map(|(zone, name)| {
+            let title = format!("{}, {name}: root mean square (largest) error, %", direction.name);
+            Table { title, head: head(), rows: rows(&ways, &errors, zone) }
+        }));
+        targets.extend(faster(setting, &direction, &runs));
+        targets.extend(no_higher(&direction, &ways, &errors));
+        data.push(json!({
+            "direction": direction.name,
+            "megapixels": direction.megapixels(),
+            "runs": runs,
+            "wavelengths_px": WAVELENGTHS_PX,
+            "zones": ZONES,
+            "errors_percent": ways.iter().zip(&errors)
+                .map(|(way, errors)| json!({ "way": way.name(), "errors": errors }))
+                .collect::<Vec<_>>(),
+        }));
+    }
+    let job = whole::measure(setting, &terrain(setting, large[0].source)?)?;
+    tables.push(job.table);
+    targets.push(job.target);
+    data.push(job.data);
+    Ok(Chapter {
+        name: "warp",
+        title: "Resampling beside others",
+        notes: vec![
+            "Speed: whole meters in 16 bits with holes, DEFLATE in tiles, to a file without compression; all \
+             cores, in turn. Error: twelve plane waves through the sphere, as floating point, on \
+             maps a quarter as wide; in percent of the field's root mean square. A wavelength is in \
+             pixels where those are largest. Exact: every place one by one (`-et 0`)."
+                .to_owned(),
+        ],
+        tables,
+        targets,
+        data: json!(data),
+    })
+}
+
+/// Terrain with holes in 16 bits; nothing past a polar map's equator.
+fn terrain(setting: &Setting, (place, size): (Place, (u32, u32))) -> io::Result<PathBuf> {
+    let (width, height) = size;
+    let name = match place {
+        Place::North { .. } => "polar",
+        Place::Globe | Place::Half => "straight",
+    };
+    let path = setting.rasters().join(format!("warp1_{name}_{width}x{height}.tif"));
+    if path.is_file() {
+        return Ok(path);
+    }
+    output::say(format!("making {}", path.display()));
+    fs::create_dir_all(setting.rasters())?;
+    let unfinished = path.with_extension("tmp");
+    let blocks = Blocks::Tiles(512);
+    let missing = Some(MISSING);
+    let format = Format { width, height, bands: 1, sample_bytes: 2, missing, place, blocks };
+    let (heights, holes) = (Terrain::heights(width, height), Terrain::holes(width, height));
+    format.write(&unfinished, |rows| {
+        let row = |row: u32| {
+            let mut samples = with_holes(&heights.rows(row..row + 1), &holes.rows(row..row + 1));
+            for (col, sample) in (0..width).zip(samples.chunks_exact_mut(2)) {
+                if place.position(size, row, col).latitude < 0.0 && place != Place::Globe {
+                    sample.copy_from_slice(&MISSING.to_le_bytes());
+                }
+            }
+            samples
+        };
+        rows.into_par_iter().map(row).collect::<Vec<_>>().concat()
+    })?;
+    fs::rename(&unfinished, &path)?;
+    Ok(path)
+}
+
+fn contenders(
+    setting: &Setting,
+    direction: &Direction,
+    ways: &[Way],
+    raster: &std::path::Path,
+) -> Vec<Contender> {
+    let contender = |&way: &Way| {
+        let folder = setting.work().join("warp");
+        let step = direction.command(setting, way, raster, &folder.join("out.tif"))?;
+        Some(Contender { name: way.name(), steps: vec![step], folder })
+    };
+    ways.iter().filter_map(contender).collect()
+}
+
+/// The GDAL that is compared with: the one that was named, else the one on the path.
+fn gdal(setting: &Setting) -> Program {
+    let named = setting.peers.python_warp(&[]).is_some();
+    if named { Program::Python } else { Program::GdalWarp }
+}
+
+fn faster(setting: &Setting, direction: &Direction, runs: &[Runs]) -> Vec<Target> {
+    let theirs = gdal(setting);
+    let ratio = |our: Way, their: Way| {
+        let (our, their) = (find(runs, &our.name())?, find(runs, &their.name())?);
+        Some(1.0 / our.cpu_ratio(their)?.median)
+    };
+    let mut targets: Vec<Target> = SHARED
+        .iter()
+        .map(|&kernel| {
+            let [our, their] =
+                [Program::Areoid, theirs].map(|program| Way::new(program, kernel, Places::Own));
+            let what = format!("{}: speed of {kernel} over {}", direction.name, their.name());
+            Target::new(what, Relation::AtLeast, FASTER, ratio(our, their))
+        })
+        .collect();
+    let cubic = Way::new(theirs, "cubic", Places::Own);
+    let what = format!("{}: speed of {} over {}", direction.name, DEFAULT.name(), cubic.name());
+    targets.push(Target::new(what, Relation::AtLeast, 1.0, ratio(DEFAULT, cubic)));
+    targets
+}
+
+/// The largest ratio of errors over all wavelengths and zones, and the spline's own.
+fn no_higher(direction: &Direction, ways: &[Way], errors: &[Option<ByWave>]) -> Vec<Target> {
+    let of = |way: Way| {
+        let at = ways.iter().position(|&one| one == way)?;
+        errors[at].as_ref()
+    };
+    let mut targets = Vec::new();
+    for program in [Program::GdalWarp, Program::Python] {
+        for kernel in SHARED {
+            let exact = Way::new(program, kernel, Places::Exact);
+            let Some(theirs) = of(exact) else { continue };
+            let ours = of(Way::new(Program::Areoid, kernel, Places::Own));
+            let pairs = ours.map(|ours| ours.iter().flatten().zip(theirs.iter().flatten()));
+            for (figure, name) in [(0, "root mean square"), (1, "largest")] {
+                let worst = pairs.clone().map(|pairs| {
+                    let ratios = pairs.map(|(our, their)| match figure {
+                        0 => our.rms / their.rms,
+                        _ => our.max / their.max,
+                    });
+                    ratios.fold(0.0, f64::max)
+                });
+                let what = format!("{}: {name} error over {}, worst", direction.name, exact.name());
+                targets.push(Target::new(what, Relation::AtMost, NO_HIGHER, worst));
+            }
+        }
+    }
+    for (wave, limit) in SPLINE_RMS {
+        let worst =
+            of(DEFAULT).map(|errors| errors[wave].iter().map(|zone| zone.rms).fold(0.0, f64::max));
+        let what = format!(
+            "{}: {} error at {} px, %, worst zone",
+            direction.name,
+            DEFAULT.name(),
+            WAVELENGTHS_PX[wave]
+        );
+        targets.push(Target::new(what, Relation::AtMost, limit, worst));
+    }
+    targets
+}
+
+fn speeds(direction: &Direction, all: &[Runs]) -> Table {
+    let rows = all.iter().map(|runs| {
+        if let Some(reason) = &runs.failed {
+            return vec![runs.name.clone(), reason.clone()];
+        }
+        let text = |spread: Option<super::report::Spread>, digits| {
+            spread.map_or_else(|| "–".to_owned(), |spread| spread.text(digits))
+        };
+        vec![
+            runs.name.clone(),
+            text(runs.spread(|taken| taken.wall_s), 2),
+            text(runs.spread(|taken| taken.cpu_s), 2),
+            text(runs.spread(|taken| direction.megapixels() / taken.cpu_s), 1),
+            text(runs.spread(|taken| taken.peak_anonymous_bytes as f64 / super::pairs::MIB), 0),
+        ]
+    });
+    let head = vec!["", "wall s", "CPU s", "Mpx per CPU-s", "memory MiB"];
+    let title = format!("{}, {:.0} Mpx", direction.name, direction.megapixels());
+    Table { title, head, rows: rows.collect() }
+}
+
+fn head() -> Vec<&'static str> {
+    vec!["", "273 px", "16 px", "8 px", "4 px", "2.5 px", "missing"]
+}
+
+fn rows(ways: &[Way], errors: &[Option<ByWave>], zone: usize) -> Vec<Vec<String>> {
+    let there = ways.iter().zip(errors).filter_map(|(way, errors)| Some((way, errors.as_ref()?)));
+    there
+        .map(|(way, errors)| {
+            let mut row = vec![way.name()];
+            row.extend(errors.iter().map(|zones| {
+                let errors = &zones[zone];
+                format!("{} ({})", digits(errors.rms), digits(errors.max))
+            }));
+            row.push(errors.iter().map(|zones| zones[zone].missing).max().unwrap_or(0).to_string());
+            row
+        })
+        .collect()
+}
+
+/// Two digits that mean something.
+fn digits(percent: f64) -> String {
+    if percent >= 10.0 {
+        return format!("{percent:.0}");
+    }
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few digits")]
+    let places = (1.0 - percent.max(1e-9).log10().floor()).max(0.0) as usize;
+    format!("{percent:.places$}")
+}
