@@ -9,6 +9,7 @@ use areoid_formats::pyramid::PoleContact;
 use super::Resampler;
 use super::error;
 use super::kernel::{Sampled, Scratch};
+use super::needs::PreparedAt;
 use super::source::Source as _;
 use super::tile::{Coords, TargetTile};
 use super::window::Window;
@@ -39,15 +40,18 @@ impl Leaves for Resampler {
         thread_local! {
             static ROOM: RefCell<Room> = RefCell::default();
         }
+        let named = self.plan.named(page);
+        // Ranges that are estimates may say of parts what they do not of the whole.
+        if named.is_empty() {
+            return Ok(None);
+        }
         let canvas = ROOM.with_borrow_mut(|room| self.canvas(page, room));
-        self.skip(page);
+        self.release(&named);
         Ok(canvas?.and_then(|canvas| self.raw(page, canvas)))
     }
 
     fn skip(&self, page: PageAddress) {
-        for tile in self.plan.named(page) {
-            self.prepared.release(tile.col, tile.row);
-        }
+        self.release(&self.plan.named(page));
     }
 
     fn source_error(
@@ -81,6 +85,10 @@ impl Leaves for Resampler {
 }
 
 impl Resampler {
+    fn release(&self, named: &[PreparedAt]) {
+        named.iter().for_each(|tile| self.prepared.release(tile.col, tile.row));
+    }
+
     /// The texels of a leaf; `None` if none can be valid.
     fn canvas(&self, page: PageAddress, room: &mut Room) -> Result<Option<Canvas>, RasterError> {
         let pyramid = self.plan.grid.pyramid();
