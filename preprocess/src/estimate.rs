@@ -249,3 +249,19 @@ impl Leaves for SideBySide {
         self.is_whole
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_not_measured_is_taken_to_be_like_what_was() {
+        let known = Measured { bytes: 600, seconds: 3.0, decoded_blocks: 4 };
+        let of = |texels, measured| Estimate { texels, pages: 2, measured };
+        let together = Estimate::together(&[of(300, Some(known)), of(50, None), of(100, None)]);
+        let measured = Measured { bytes: 900, seconds: 4.5, decoded_blocks: 4 };
+        assert_eq!(together, Estimate { texels: 450, pages: 6, measured: Some(measured) });
+        assert_eq!(Estimate::together(&[of(7, None), of(8, None)]).measured, None);
+        assert_eq!(Estimate::together(&[of(300, Some(known))]), of(300, Some(known)));
+    }
+}

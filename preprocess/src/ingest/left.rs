@@ -1,4 +1,4 @@
-//! What is left of an earlier build, and whether it is gone on with.
+//! What is left of earlier builds, and whether it is gone on with; what is left of these.
 
 use std::fmt;
 use std::io;
@@ -6,10 +6,13 @@ use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use areoid_formats::archive::{Archive, Description, Written, recover};
-use areoid_formats::catalog::{Build, Disk, Existing, NewDataset, stray};
+use areoid_formats::catalog::{
+    Build, CatalogError, Disk, Finished, NewDataset, publish_archives, stray,
+};
 use areoid_formats::storage::{ByteSource, FileSource};
 
-use super::request::{Event, IngestError, Leftover, Request, Unfinished, Watch};
+use super::plan::{Part, Plan};
+use super::request::{Event, IngestError, Leftover, Request, Unfinished, Watch, tell};
 use crate::build::{Begun, Proceed};
 use crate::note::Note;
 
@@ -42,7 +45,7 @@ impl<'a> Underway<'a> {
     }
 
     /// Keeps the build if there is something to go on with, else discards it; whether it is kept.
-    pub(super) fn keep_if_of_use(self) -> bool {
+    fn keep_if_of_use(self) -> bool {
         // A disk may have had no room for a unit that was done. Where it does not tell, that shows
         // later.
         let length = self.build.source().map_or(u64::MAX, |source| source.len());
@@ -55,7 +58,7 @@ impl<'a> Underway<'a> {
 
     /// Discards the build. What cannot be removed either is swept by the next build of this name; why
     /// it is discarded says more.
-    pub(super) fn discard(self) {
+    fn discard(self) {
         let _ = self.build.discard();
     }
 }
@@ -69,28 +72,80 @@ pub(super) fn in_place(
     Ok(archive.and_then(|archive| archive.content().map(|content| (archive, content))))
 }
 
-/// What the manifest is to say of an archive, which is one of `group` if there is one.
-pub(super) fn new_dataset(
-    description: &Description,
-    group: Option<&str>,
+/// Publishes archives that a process killed between its last two steps left whole in their places,
+/// unless they are gone meanwhile.
+pub(super) fn publish_left(
+    disk: &dyn Disk,
+    request: &Request,
+    plan: &Plan,
+    archives: &[(Archive, u64)],
+    watch: Watch<'_>,
+) -> Result<Option<u64>, IngestError> {
+    tell(watch, Event::Leftover(Leftover::Whole))?;
+    for part in &plan.parts {
+        // What was begun since makes the same.
+        Build::start(disk, &request.catalog, &part.description.dataset)?.discard()?;
+    }
+    watch(Event::Publishing);
+    let datasets = plan.parts.iter().zip(archives).map(|(part, (archive, content))| {
+        (Finished::InPlace, dataset(request, plan, part, (archive.len(), *content)))
+    });
+    match publish_archives(disk, &request.catalog, datasets.collect()) {
+        Ok(generation) => Ok(Some(generation)),
+        Err(CatalogError::Missing { .. }) => Ok(None),
+        Err(error) => Err(kept(error.into())),
+    }
+}
+
+/// What the manifest is to say of the archive of a part: its length and its content.
+pub(super) fn dataset(
+    request: &Request,
+    plan: &Plan,
+    Part { description, .. }: &Part,
     (bytes, content): (u64, u64),
-    existing: Existing,
 ) -> NewDataset {
     NewDataset {
         name: description.dataset.clone(),
-        group: group.map(str::to_owned),
+        group: plan.is_group.then(|| plan.called.clone()),
         kind: description.kind,
         priority: description.priority,
         body: description.body.clone(),
         bytes,
         content,
         source: description.source.clone(),
-        existing,
+        existing: request.existing,
     }
 }
 
+/// What there is of each part, its build locked.
+pub(super) fn stand<'a>(
+    disk: &'a dyn Disk,
+    request: &Request,
+    plan: &Plan,
+    left: Vec<Option<(Archive, u64)>>,
+    watch: Watch<'_>,
+) -> Result<Vec<Standing<'a>>, IngestError> {
+    let mut standing = Vec::new();
+    for (part, left) in plan.parts.iter().zip(left) {
+        let found = match left {
+            Some((archive, content)) => Ok(Standing::InPlace(archive, content)),
+            None => begin(disk, request, &part.description, watch)
+                .map(|underway| Standing::Build(Box::new(underway))),
+        };
+        match found {
+            Ok(found) => standing.push(found),
+            Err(error) => {
+                // What was left of the other parts is left to go on with.
+                builds(standing).for_each(|underway| _ = underway.keep_if_of_use());
+                return Err(error);
+            }
+        }
+    }
+    Ok(standing)
+}
+
 /// Opens the place of the build, and what is left there of an earlier one that can be gone on with.
-pub(super) fn begin<'a>(
+fn begin<'a>(
     disk: &'a dyn Disk,
     request: &Request,
     description: &Description,
@@ -122,6 +177,29 @@ pub(super) fn begin<'a>(
     build.cut(archive.end)?;
     let note = build.last_note()?.and_then(|note| Note::from_bytes(&note));
     Ok(Underway::new(build, Some(Begun { archive, note }), None))
+}
+
+/// Keeps builds that stopped if that is of use: if they have a work unit, and the cause may go
+/// away.
+pub(super) fn stopped(standing: Vec<Standing<'_>>, error: IngestError) -> IngestError {
+    if !error.may_go_away() {
+        builds(standing).for_each(|underway| underway.discard());
+        return error;
+    }
+    let kept_builds = builds(standing).map(|underway| underway.keep_if_of_use());
+    if kept_builds.filter(|&is_kept| is_kept).count() > 0 { kept(error) } else { error }
+}
+
+fn builds(standing: Vec<Standing<'_>>) -> impl Iterator<Item = Box<Underway<'_>>> {
+    standing.into_iter().filter_map(|standing| match standing {
+        Standing::InPlace(..) => None,
+        Standing::Build(underway) => Some(underway),
+    })
+}
+
+/// The error of an ingest whose build is still there.
+pub(super) fn kept(error: IngestError) -> IngestError {
+    if error.may_go_away() { IngestError::Kept(Box::new(error)) } else { error }
 }
 
 /// An unfinished archive, which is read from front to back until somebody wants to stop.

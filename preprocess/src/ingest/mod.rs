@@ -19,9 +19,7 @@ use std::time::Instant;
 
 use areoid_formats::archive::Archive;
 pub use areoid_formats::catalog::Existing;
-use areoid_formats::catalog::{
-    Build, Catalog, CatalogError, Disk, Finished, NewDataset, publish_archives,
-};
+use areoid_formats::catalog::{Catalog, CatalogError, Disk, Finished, publish_archives};
 
 pub use self::plan::{Opened, latitudes_name, open, reopen};
 pub use self::request::{
@@ -29,7 +27,7 @@ pub use self::request::{
     Unfinished,
 };
 
-use self::left::{Standing, begin, in_place, new_dataset};
+use self::left::{Standing, dataset, in_place, kept, publish_left, stand, stopped};
 use self::place::{Ready, make_ready, step_bytes, threads, write};
 use self::plan::{Part, Plan, plan};
 use self::request::{Watch, tell};
@@ -164,64 +162,6 @@ fn saved(parts: &[PartMade], pixels: u64) -> Option<Saved> {
     })
 }
 
-/// Publishes archives that a process killed between its last two steps left whole in their places,
-/// unless they are gone meanwhile.
-fn publish_left(
-    disk: &dyn Disk,
-    request: &Request,
-    plan: &Plan,
-    archives: &[(Archive, u64)],
-    watch: Watch<'_>,
-) -> Result<Option<u64>, IngestError> {
-    tell(watch, Event::Leftover(Leftover::Whole))?;
-    for part in &plan.parts {
-        // What was begun since makes the same.
-        Build::start(disk, &request.catalog, &part.description.dataset)?.discard()?;
-    }
-    watch(Event::Publishing);
-    let datasets = plan.parts.iter().zip(archives).map(|(part, (archive, content))| {
-        (Finished::InPlace, dataset(request, plan, part, (archive.len(), *content)))
-    });
-    match publish_archives(disk, &request.catalog, datasets.collect()) {
-        Ok(generation) => Ok(Some(generation)),
-        Err(CatalogError::Missing { .. }) => Ok(None),
-        Err(error) => Err(kept(error.into())),
-    }
-}
-
-/// What the manifest is to say of a part.
-fn dataset(request: &Request, plan: &Plan, part: &Part, archive: (u64, u64)) -> NewDataset {
-    let group = plan.is_group.then_some(&*plan.called);
-    new_dataset(&part.description, group, archive, request.existing)
-}
-
-/// What there is of each part, its build locked.
-fn stand<'a>(
-    disk: &'a dyn Disk,
-    request: &Request,
-    plan: &Plan,
-    left: Vec<Option<(Archive, u64)>>,
-    watch: Watch<'_>,
-) -> Result<Vec<Standing<'a>>, IngestError> {
-    let mut standing = Vec::new();
-    for (part, left) in plan.parts.iter().zip(left) {
-        let found = match left {
-            Some((archive, content)) => Ok(Standing::InPlace(archive, content)),
-            None => begin(disk, request, &part.description, watch)
-                .map(|underway| Standing::Build(Box::new(underway))),
-        };
-        match found {
-            Ok(found) => standing.push(found),
-            Err(error) => {
-                // What was left of the other parts is left to go on with.
-                builds(standing).for_each(|underway| _ = underway.keep_if_of_use());
-                return Err(error);
-            }
-        }
-    }
-    Ok(standing)
-}
-
 /// Builds what is not whole yet, one part after another.
 fn build_all(
     request: &Request,
@@ -319,29 +259,6 @@ fn publish(
         CatalogError::Missing { .. } => IngestError::Kept(Box::new(error.into())),
         error => kept(error.into()),
     })
-}
-
-/// Keeps builds that stopped if that is of use: if they have a work unit, and the cause may go
-/// away.
-fn stopped(standing: Vec<Standing<'_>>, error: IngestError) -> IngestError {
-    if !error.may_go_away() {
-        builds(standing).for_each(|underway| underway.discard());
-        return error;
-    }
-    let kept_builds = builds(standing).map(|underway| underway.keep_if_of_use());
-    if kept_builds.filter(|&is_kept| is_kept).count() > 0 { kept(error) } else { error }
-}
-
-fn builds(standing: Vec<Standing<'_>>) -> impl Iterator<Item = Box<left::Underway<'_>>> {
-    standing.into_iter().filter_map(|standing| match standing {
-        Standing::InPlace(..) => None,
-        Standing::Build(underway) => Some(underway),
-    })
-}
-
-/// The error of an ingest whose build is still there.
-fn kept(error: IngestError) -> IngestError {
-    if error.may_go_away() { IngestError::Kept(Box::new(error)) } else { error }
 }
 
 /// The newest generation of the catalog, if there is one.
