@@ -17,6 +17,7 @@ mod laws {
     mod planets;
     mod registration;
     mod shapes;
+    mod split;
     mod truth;
     mod verification;
 }
