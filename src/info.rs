@@ -5,6 +5,8 @@ use std::process::ExitCode;
 
 use areoid_formats::archive::Archive;
 use areoid_formats::catalog::{Catalog, CatalogError, DatasetRecord};
+use areoid_formats::grid::Grid;
+use areoid_formats::projection::Projection;
 use areoid_formats::pyramid::PoleContact;
 use serde_json::{Value, json};
 
@@ -76,7 +78,6 @@ fn unreadable(record: &DatasetRecord, error: &CatalogError) -> Value {
 fn dataset(record: &DatasetRecord, archive: &Archive) -> Result<Value, Failure> {
     let description = archive.description();
     let (grid, pyramid) = (&description.grid, description.grid.pyramid());
-    let extent = pyramid.extent();
     let summary = archive.summary();
     let levels: Vec<Value> = pyramid
         .levels()
@@ -94,32 +95,12 @@ fn dataset(record: &DatasetRecord, archive: &Archive) -> Result<Value, Failure> 
             })
         })
         .collect();
-    let poles = match (extent.north != PoleContact::None, extent.south != PoleContact::None) {
-        (true, true) => "both",
-        (true, false) => "north",
-        (false, true) => "south",
-        (false, false) => "none",
-    };
     Ok(json!({
         "name": record.name,
         "group": record.group,
         "kind": record.kind.name(),
         "priority": record.priority,
-        "grid": {
-            "projection": match grid.crs().projection {
-                areoid_formats::projection::Projection::PolarStereographic(_) => "polar_stereographic",
-                areoid_formats::projection::Projection::Equirectangular(_) => "equirectangular",
-                areoid_formats::projection::Projection::Geographic => "geographic",
-            },
-            "crs": grid.crs().proj_string(),
-            "origin": grid.origin(),
-            "pixel_size": grid.pixel_size(),
-            "width": extent.width,
-            "height": extent.height,
-            "wraps": extent.wraps,
-            "reaches_pole": poles != "none",
-            "poles": poles,
-        },
+        "grid": self::grid(grid),
         "page_size": pyramid.page_side(),
         "border": areoid_formats::pyramid::Pyramid::BORDER,
         "step": description.quantum.step,
@@ -128,6 +109,32 @@ fn dataset(record: &DatasetRecord, archive: &Archive) -> Result<Value, Failure> 
         "bytes": record.bytes,
         "source": record.source,
     }))
+}
+
+/// A grid as `info` and `ingest` tell of it.
+pub(crate) fn grid(grid: &Grid) -> Value {
+    let extent = grid.pyramid().extent();
+    let poles = match (extent.north != PoleContact::None, extent.south != PoleContact::None) {
+        (true, true) => "both",
+        (true, false) => "north",
+        (false, true) => "south",
+        (false, false) => "none",
+    };
+    json!({
+        "projection": match grid.crs().projection {
+            Projection::PolarStereographic(_) => "polar_stereographic",
+            Projection::Equirectangular(_) => "equirectangular",
+            Projection::Geographic => "geographic",
+        },
+        "crs": grid.crs().proj_string(),
+        "origin": grid.origin(),
+        "pixel_size": grid.pixel_size(),
+        "width": extent.width,
+        "height": extent.height,
+        "wraps": extent.wraps,
+        "reaches_pole": poles != "none",
+        "poles": poles,
+    })
 }
 
 fn text(catalog: &Catalog, datasets: &[Value]) -> Result<(), Failure> {

@@ -13,12 +13,13 @@ use areoid_formats::codec::Quantum;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
 use areoid_formats::projection::Pole;
-use areoid_formats::pyramid::Pyramid;
+use areoid_formats::pyramid::{Extent, Pyramid};
 use areoid_formats::units::Meters;
 use areoid_preprocess::build::Progress;
 use areoid_preprocess::estimate::{Estimate, Measured};
 use areoid_preprocess::ingest::{
-    Event, Existing, IngestError, Outcome, Reading, Request, Unfinished, ingest,
+    Event, Existing, IngestError, Outcome, PartMade, Reading, Request, TargetGrid, Unfinished,
+    ingest,
 };
 use areoid_preprocess::resample::kernel::{Kernel, RangeLimit};
 use areoid_preprocess::resample::target::TargetMap;
@@ -29,7 +30,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::progress::{Bar, Screen};
 use crate::resources::PeakMemory;
-use crate::{output, resources};
+use crate::{info, output, resources};
 
 /// Turn rasters into a dataset of a catalog.
 ///
@@ -58,7 +59,9 @@ pub(crate) struct Args {
     #[arg(long, value_name = "NAME|A,B")]
     body: Option<String>,
 
-    /// The grid of the dataset: the rasters' own, or one they are resampled to.
+    /// The grid of the dataset: the rasters' own, or one they are resampled to. A whole globe can be
+    /// split into three datasets that are named, replaced and removed as one: NAME.band on its own
+    /// grid, and about the poles NAME.north and NAME.south, where all meridians crowd on its own.
     #[arg(long, value_enum, default_value = "native")]
     grid: GridArg,
 
@@ -188,8 +191,9 @@ impl KernelArg {
 
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
-        if self.grid == GridArg::Split {
-            return Err(Failure::Misused("--grid split is not supported yet".to_owned()));
+        if self.grid == GridArg::Split && self.pixel_size_m.is_some() {
+            let reason = "--grid split keeps the raster's own pixels: leave out --pixel-size-m";
+            return Err(Failure::Misused(reason.to_owned()));
         }
         if matches!(self.kind, Some(KindArg::Normal)) {
             return Err(Failure::Misused("--kind normal is not supported yet".to_owned()));
@@ -241,10 +245,11 @@ impl Args {
             }),
             step_m: self.step_m,
             grid: match self.grid {
-                GridArg::Native | GridArg::Split => TargetMap::Native,
-                GridArg::Equirectangular => TargetMap::Equirectangular,
-                GridArg::PolarNorth => TargetMap::Polar(Pole::North),
-                GridArg::PolarSouth => TargetMap::Polar(Pole::South),
+                GridArg::Native => TargetGrid::One(TargetMap::Native),
+                GridArg::Equirectangular => TargetGrid::One(TargetMap::Equirectangular),
+                GridArg::PolarNorth => TargetGrid::One(TargetMap::Polar(Pole::North)),
+                GridArg::PolarSouth => TargetGrid::One(TargetMap::Polar(Pole::South)),
+                GridArg::Split => TargetGrid::Split,
             },
             pixel_size: self.pixel_size_m.map(Meters),
             kernel: self.kernel.unwrap_or(KernelArg::Spline).kernel(self.spline_degree),
@@ -368,12 +373,22 @@ fn quoted(argument: &str) -> Cow<'_, str> {
 }
 
 fn summary(outcome: &Outcome, peak: u64) -> serde_json::Value {
-    let pages: u64 = outcome.summary.levels.iter().map(|level| level.pages).sum();
+    let parts = outcome.parts.iter().map(|part| {
+        json!({
+            "name": part.name,
+            "grid": info::grid(&part.grid),
+            "pages": pages(part),
+            "bytes": part.bytes,
+        })
+    });
     json!({
         "dataset": outcome.dataset,
+        "parts": parts.collect::<Vec<_>>(),
+        "saved_texels": outcome.saved.map(|saved| saved.texels),
+        "saved_bytes": outcome.saved.map(|saved| saved.bytes),
         "already_there": outcome.already_there,
         "generation": outcome.generation,
-        "pages": pages,
+        "pages": outcome.parts.iter().map(pages).sum::<u64>(),
         "bytes": outcome.bytes,
         "seconds": outcome.seconds,
         "cpu_seconds": resources::cpu_seconds(),
@@ -399,11 +414,17 @@ fn estimate(estimate: &Estimate) -> serde_json::Value {
 }
 
 fn largest(outcome: &Outcome, field: fn(&areoid_formats::archive::LevelSummary) -> f32) -> f32 {
-    outcome.summary.levels.iter().map(field).fold(0.0, f32::max)
+    let levels = outcome.parts.iter().flat_map(|part| &part.summary.levels);
+    levels.map(field).fold(0.0, f32::max)
+}
+
+/// Pages of all levels.
+fn pages(part: &PartMade) -> u64 {
+    part.summary.levels.iter().map(|level| level.pages).sum()
 }
 
 fn text(outcome: &Outcome) -> String {
-    let pages: u64 = outcome.summary.levels.iter().map(|level| level.pages).sum();
+    let all_pages: u64 = outcome.parts.iter().map(pages).sum();
     let Outcome { dataset, bytes, seconds, .. } = outcome;
     if outcome.already_there {
         return format!("{dataset}: already there, made from the same input: nothing to do");
@@ -412,7 +433,7 @@ fn text(outcome: &Outcome) -> String {
     let bound = largest(outcome, |level| level.bound_max);
     let error = largest(outcome, |level| level.source_error_max);
     let mut text = format!(
-        "{dataset}: {pages} pages, {bytes} bytes in {seconds:.2} s ({rate:.1} Mpx/s); \
+        "{dataset}: {all_pages} pages, {bytes} bytes in {seconds:.2} s ({rate:.1} Mpx/s); \
          coarsest bound {bound}, error against the source {error}; {} blocks decoded",
         outcome.decoded_blocks
     );
@@ -423,7 +444,23 @@ fn text(outcome: &Outcome) -> String {
         let Measured { bytes, seconds, .. } = measured;
         let _ = write!(text, "; expected were {bytes} bytes in {seconds:.2} s");
     }
+    if let Some(saved) = outcome.saved {
+        for part in &outcome.parts {
+            let PartMade { name, bytes, .. } = part;
+            let Extent { width, height, .. } = part.grid.pyramid().extent();
+            let pages = pages(part);
+            let _ = write!(text, "\n  {name}: {width} x {height}, {pages} pages, {bytes} bytes");
+        }
+        let (texels, bytes) = (told(saved.texels), told(saved.bytes));
+        let _ = write!(text, "\n  beside one pyramid {texels} texels, and about {bytes} bytes");
+    }
     text
+}
+
+/// How much was saved, or not.
+fn told(saved: i64) -> String {
+    let what = if saved < 0 { "more" } else { "fewer" };
+    format!("{} {what}", saved.unsigned_abs())
 }
 
 #[cfg(test)]

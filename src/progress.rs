@@ -87,7 +87,8 @@ impl Screen {
             }
             Event::Leftover(leftover) => {
                 if let Leftover::Resumed { units, .. } = leftover {
-                    state.replayed = units;
+                    let before = state.progress.map_or(0, |progress| progress.units_done as u64);
+                    state.replayed = before + units;
                 }
                 self.say(leftover_text(leftover));
             }

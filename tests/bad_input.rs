@@ -3,6 +3,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a failed test may panic")]
 
+use areoid_preprocess::ingest::TargetGrid;
 use areoid_preprocess::resample::kernel::{Kernel, RangeLimit};
 use areoid_preprocess::resample::target::TargetMap;
 use std::fs;
@@ -278,7 +279,7 @@ fn a_full_disk_is_an_error_and_changes_nothing() {
         name: Some("second".to_owned()),
         kind: None,
         step_m: None,
-        grid: TargetMap::Native,
+        grid: TargetGrid::One(TargetMap::Native),
         pixel_size: None,
         kernel: Kernel::QuinticSpline,
         limit: RangeLimit::None,
@@ -310,7 +311,7 @@ fn a_full_disk_is_an_error_and_changes_nothing() {
         ..request
     };
     let outcome = areoid_preprocess::ingest::ingest(&real, &request, proceed).unwrap();
-    assert_eq!((outcome.bytes, outcome.summary), (whole.bytes, whole.summary));
+    assert_eq!((outcome.bytes, outcome.parts), (whole.bytes, whole.parts));
     assert!(Path::new(&bench.path("catalog/build")).read_dir().unwrap().next().is_none());
 }
 

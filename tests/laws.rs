@@ -18,6 +18,7 @@ mod laws {
     mod registration;
     mod resampled;
     mod shapes;
+    mod split;
     mod truth;
     mod verification;
 }

@@ -12,6 +12,7 @@
 //!   hints      what is said of going on
 //!   stray      archives that only lack a manifest that names them
 //!   groups     datasets that are named, replaced and removed as one
+//!   split      a raster split into such a group
 //! ```
 //!
 //! A short form by default; `AREOID_SOAK=1` makes it 200 kills and a minute of churn.
@@ -38,5 +39,6 @@ mod unbreakable {
     mod modified;
     mod rig;
     mod same;
+    mod split;
     mod stray;
 }

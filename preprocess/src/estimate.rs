@@ -75,6 +75,28 @@ impl Estimate {
         }
     }
 
+    /// Of several builds, one after another. Where some were measured, those that were not are taken
+    /// to be like them, texel for texel.
+    #[must_use]
+    pub fn together(parts: &[Self]) -> Self {
+        let texels = parts.iter().map(|part| part.texels).sum();
+        let known = || parts.iter().filter_map(|part| part.measured.map(|it| (part.texels, it)));
+        let of_known: u64 = known().map(|(texels, _)| texels).sum();
+        let share = texels as f64 / of_known.max(1) as f64;
+        let bytes = known().map(|(_, measured)| measured.bytes as f64).sum::<f64>() * share;
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a length")]
+        let measured = Measured {
+            bytes: bytes as u64,
+            seconds: known().map(|(_, measured)| measured.seconds).sum::<f64>() * share,
+            decoded_blocks: known().map(|(_, measured)| measured.decoded_blocks).sum(),
+        };
+        Self {
+            texels,
+            pages: parts.iter().map(|part| part.pages).sum(),
+            measured: (of_known > 0).then_some(measured),
+        }
+    }
+
     /// With what a few leaves say, if there are many. `left` is the share of the work that is still
     /// to be done; `go_on` is asked before each leaf. Runs on the current rayon pool and holds up to
     /// `memory_bytes`; what cannot be read is left for the build to find.
@@ -225,5 +247,21 @@ impl Leaves for SideBySide {
 
     fn is_whole(&self) -> bool {
         self.is_whole
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_not_measured_is_taken_to_be_like_what_was() {
+        let known = Measured { bytes: 600, seconds: 3.0, decoded_blocks: 4 };
+        let of = |texels, measured| Estimate { texels, pages: 2, measured };
+        let together = Estimate::together(&[of(300, Some(known)), of(50, None), of(100, None)]);
+        let measured = Measured { bytes: 900, seconds: 4.5, decoded_blocks: 4 };
+        assert_eq!(together, Estimate { texels: 450, pages: 6, measured: Some(measured) });
+        assert_eq!(Estimate::together(&[of(7, None), of(8, None)]).measured, None);
+        assert_eq!(Estimate::together(&[of(300, Some(known))]), of(300, Some(known)));
     }
 }

@@ -26,7 +26,7 @@ pub trait Origin: Leaves + Send {
     /// Blocks decoded so far.
     fn decoded_blocks(&self) -> u64;
 
-    /// Blocks of all rasters.
+    /// Blocks of all rasters, those apart that no leaf needs for sure.
     fn blocks(&self) -> u64;
 
     /// Pixels of the blocks that are decoded for `leaves`.

@@ -12,7 +12,7 @@ use crate::support::areoid::{assert_verified, heights, ingest};
 /// Pixels of the demo raster.
 const SIZE: (usize, usize) = (1440, 2880);
 
-fn demo(name: &str) -> PathBuf {
+pub(super) fn demo(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("demo/mars").join(name)
 }
 
@@ -48,7 +48,7 @@ fn bilinear(samples: &[i16], [longitude, latitude]: [f64; 2]) -> f64 {
 }
 
 /// Position and height of the exact values.
-fn truth() -> Vec<([f64; 2], f64)> {
+pub(super) fn truth() -> Vec<([f64; 2], f64)> {
     let text = std::fs::read_to_string(demo("truth_points.csv")).unwrap();
     let numbers =
         |line: &str| -> Vec<f64> { line.split(',').map(|n| n.parse().unwrap()).collect() };

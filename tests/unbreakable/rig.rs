@@ -11,7 +11,7 @@ use std::time::Duration;
 use areoid_formats::catalog::{Catalog, CatalogError, RealDisk};
 use areoid_preprocess::build::Proceed;
 use areoid_preprocess::ingest::{
-    self, Event, Existing, IngestError, Outcome, Reading, Request, Unfinished,
+    self, Event, Existing, IngestError, Outcome, Reading, Request, TargetGrid, Unfinished,
 };
 use serde_json::Value;
 use tempfile::TempDir;
@@ -150,7 +150,7 @@ impl Subject {
             name: Some(NAME.to_owned()),
             kind: None,
             step_m: self.step_m,
-            grid: TargetMap::Native,
+            grid: TargetGrid::One(TargetMap::Native),
             pixel_size: None,
             kernel: Kernel::QuinticSpline,
             limit: RangeLimit::None,

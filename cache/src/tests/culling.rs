@@ -4,8 +4,10 @@
 use std::sync::LazyLock;
 
 use areoid_formats::address::PageAddress;
-use areoid_formats::grid::TexelPoint;
+use areoid_formats::grid::{Placement, TexelPoint};
+use areoid_formats::pyramid::{Extent, PoleContact};
 use areoid_formats::units::Degrees;
+use areoid_preprocess::resample::target::{Split, split};
 use proptest::prelude::*;
 
 use super::*;
@@ -280,4 +282,71 @@ fn searches_want_little_more_than_is_seen() {
         (all, needed) = (all + wanted, needed + seen);
     }
     assert!(all as f64 <= 1.5 * f64::from(u32::try_from(needed).unwrap()), "{all} for {needed}");
+}
+
+/// A globe on its own grid, and the band and the caps that it is split into.
+fn split_globe() -> (Grid, [Grid; 3]) {
+    let outline = Outline {
+        origin: [-180.0, 90.0],
+        pixel_size: [360.0 / 4096.0; 2],
+        width: 4096,
+        height: 2048,
+    };
+    let crs = Crs::new(Projection::Geographic, mars().ellipsoid);
+    let globe = Grid::from_outline(crs, outline, 66).unwrap().grid;
+    let placement = Placement::from_outline(crs, outline).unwrap();
+    let Split { rows, north, south } = split(&placement, 66).unwrap();
+    let extent = Extent {
+        height: rows.end - rows.start,
+        north: PoleContact::None,
+        south: PoleContact::None,
+        ..placement.extent()
+    };
+    let [left, top] = placement.origin;
+    let origin = [left, top - f64::from(rows.start) * placement.pixel_size[1]];
+    let band = Grid::new(crs, origin, placement.pixel_size, extent, 66).unwrap();
+    (globe, [band, north, south])
+}
+
+/// Law 6: views of a pole of a split globe need little more pages than those of the equator, from
+/// wherever: those of the globe on one grid need many times as many.
+#[test]
+#[expect(clippy::print_stdout, reason = "figures for whoever asks with --nocapture")]
+fn poles_of_a_split_globe_need_little_more_pages_than_the_equator() {
+    let (globe, parts) = split_globe();
+    let globe = Gated::new("globe", globe, Kind::Height);
+    let names = ["band", "north", "south"];
+    let parts: Vec<Gated> = names
+        .into_iter()
+        .zip(parts)
+        .map(|(name, grid)| Gated::new(name, grid, Kind::Height))
+        .collect();
+    let split = scene(&parts.iter().collect::<Vec<_>>());
+    let native = scene(&[&globe]);
+    // From many places, because it is chance where pages end.
+    let wanted = |scene: &Scene, latitude: f64, altitude: f64| {
+        let one = |turn: i32| {
+            let offset = f64::from(turn % 7 - 3);
+            let latitude = if latitude.abs() > 80.0 {
+                latitude - (offset.abs() + 0.5).copysign(latitude)
+            } else {
+                latitude + offset
+            };
+            let view = view(10.3 + 17.0 * f64::from(turn), latitude, altitude, 0.0);
+            search(scene, &mut Memo::default(), &view, usize::MAX).wanted.len()
+        };
+        (0..21).map(one).sum::<usize>() as f64
+    };
+    let (mut all, mut before) = ([0.0; 4], 0.0);
+    for altitude in [3e4, 6e4, 1.2e5, 2e5, 3e5, 5e5, 8e5, 1.5e6] {
+        let at = [0.0, 90.0, -90.0, 60.0].map(|latitude| wanted(&split, latitude, altitude));
+        let native = wanted(&native, 90.0, altitude);
+        println!("{altitude}: {at:?} at the equator, the poles and 60; {native} on one grid");
+        all = std::array::from_fn(|place| all[place] + at[place]);
+        before += native;
+    }
+    println!("{all:?}, {before} on one grid");
+    let [equator, north, south, _] = all;
+    assert!(north <= 1.5 * equator && south <= 1.5 * equator, "{all:?}");
+    assert!(before > 3.0 * equator, "{before} for {equator}");
 }

@@ -1,4 +1,8 @@
-//! Ingest: rasters become a dataset of a catalog.
+//! Ingest: rasters become a dataset of a catalog, or the parts of a group.
+//!
+//! ```text
+//!   plan ──▶ there already? ──▶ what is left ──▶ build, part by part ──▶ publish all in one step
+//! ```
 
 mod request;
 
@@ -8,24 +12,28 @@ mod left;
 
 mod place;
 
+mod tally;
+
 use std::path::Path;
 use std::time::Instant;
 
-use areoid_formats::archive::{Description, Summary};
+use areoid_formats::archive::Archive;
 pub use areoid_formats::catalog::Existing;
-use areoid_formats::catalog::{Build, Catalog, CatalogError, Disk, publish_build};
-use areoid_formats::storage::ByteSource as _;
+use areoid_formats::catalog::{Catalog, CatalogError, Disk, Finished, publish_archives};
 
 pub use self::plan::{Opened, latitudes_name, open, reopen};
-pub use self::request::{Event, IngestError, Leftover, Outcome, Reading, Request, Unfinished};
+pub use self::request::{
+    Event, IngestError, Leftover, Outcome, PartMade, Reading, Request, Saved, TargetGrid,
+    Unfinished,
+};
 
-use self::left::{begin, new_dataset, publish_left};
-use self::place::write;
-use self::plan::plan;
-use self::request::tell;
+use self::left::{Standing, dataset, in_place, kept, publish_left, stand, stopped};
+use self::place::{Ready, make_ready, step_bytes, threads, write};
+use self::plan::{Part, Plan, plan};
+use self::request::{Watch, tell};
+use self::tally::{Tally, units};
 use crate::build::{Proceed, Progress};
-use crate::feather::HALO;
-use crate::schedule::Schedule;
+use crate::estimate::Estimate;
 
 /// Leaf pages along a side of a work unit.
 pub const UNIT_PAGES: u32 = 8;
@@ -44,12 +52,13 @@ pub fn ingest(
     let start = Instant::now();
     tell(&mut watch, Event::Opening)?;
     let mut catalog = newest(&request.catalog)?;
-    let (description, mut origin) = plan(request, catalog.as_ref(), &mut watch)?;
+    let mut plan = plan(request, catalog.as_ref(), &mut watch)?;
     let mut outcome = Outcome {
-        dataset: description.dataset.clone(),
+        dataset: plan.called.clone(),
+        parts: Vec::new(),
+        saved: None,
         already_there: false,
         generation: 0,
-        summary: Summary::default(),
         bytes: 0,
         pixels: 0,
         decoded_blocks: 0,
@@ -59,7 +68,7 @@ pub fn ingest(
     };
     let there = loop {
         let Some(opened) = &catalog else { break None };
-        match existing(opened, &description, request.existing) {
+        match existing(opened, &plan, request.existing) {
             // Another process may have replaced or removed it since the catalog was opened.
             Err(IngestError::Catalog(error)) if matches!(*error, CatalogError::Missing { .. }) => {
                 let generation = opened.generation();
@@ -71,82 +80,185 @@ pub fn ingest(
             there => break there?,
         }
     };
-    if let (Some(catalog), Some((summary, bytes))) = (&catalog, there) {
+    if let (Some(catalog), Some(archives)) = (&catalog, there) {
         (outcome.already_there, outcome.generation) = (true, catalog.generation());
-        (outcome.summary, outcome.bytes) = (summary, bytes);
-        outcome.seconds = start.elapsed().as_secs_f64();
-        return Ok(outcome);
+        return Ok(outcome.of(&plan, archives.iter().map(whole).collect(), start));
     }
 
-    if let Some((generation, archive)) = publish_left(disk, request, &description, &mut watch)? {
-        outcome.generation = generation;
-        outcome.summary = archive.summary().cloned().unwrap_or_default();
-        outcome.bytes = archive.len();
-        let units = Schedule::new(description.grid.pyramid(), UNIT_PAGES, HALO).remaining();
-        outcome.resumed_units = units as u64;
-        outcome.seconds = start.elapsed().as_secs_f64();
-        return Ok(outcome);
+    let mut left = Vec::new();
+    for part in &plan.parts {
+        left.push(in_place(&request.catalog, &part.description)?);
     }
-
-    let (mut build, begun, leftover) = begin(disk, request, &description, &mut watch)?;
-    outcome.resumed_units = begun.as_ref().map_or(0, |begun| begun.archive.units);
-    let mut is_untold = begun.is_some();
-    let mut unit_end = begun.as_ref().map(|begun| begun.archive.end);
-    let mut note = |event: Event| {
-        match event {
-            Event::Estimated(estimate) => outcome.estimate = Some(estimate),
-            Event::Building(progress) => {
-                let Progress { units_done, units_resumed, .. } = progress;
-                if std::mem::take(&mut is_untold) {
-                    let (units, again) = (units_resumed as u64, units_resumed - units_done);
-                    let resumed = Leftover::Resumed { units, again: again as u64 };
-                    if watch(Event::Leftover(resumed)) == Proceed::No {
-                        return Proceed::No;
-                    }
-                }
-                if units_done > 0 {
-                    unit_end.get_or_insert(progress.bytes);
-                }
-                outcome.pixels = progress.texels - progress.texels_skipped;
-            }
-            _ => {}
+    if left.iter().all(Option::is_some) {
+        let all: Vec<_> = left.drain(..).flatten().collect();
+        if let Some(generation) = publish_left(disk, request, &plan, &all, &mut watch)? {
+            outcome.generation = generation;
+            outcome.resumed_units =
+                plan.parts.iter().map(|part| units(&part.description) as u64).sum();
+            let parts = all.iter().map(|(archive, _)| whole(archive)).collect();
+            return Ok(outcome.of(&plan, parts, start));
         }
-        watch(event)
-    };
-    let told = leftover.map_or(Ok(()), |leftover| tell(&mut note, Event::Leftover(leftover)));
-    let written = told
-        .and_then(|()| write(request, &description, &mut *origin, (&mut build, begun), &mut note));
-    let written = match written {
-        Ok(written) => written,
-        Err(error) => return Err(stopped(build, unit_end, error)),
-    };
-    watch(Event::Publishing);
-    let dataset = new_dataset(&description, written.bytes, written.content, request.existing);
-    let published = publish_build(build, dataset);
-    outcome.generation = published.map_err(|error| kept(error.into()))?;
-    (outcome.summary, outcome.bytes) = (written.summary, written.bytes);
-    outcome.decoded_blocks = origin.decoded_blocks();
-    outcome.seconds = start.elapsed().as_secs_f64();
-    Ok(outcome)
-}
-
-/// Keeps a build that stopped if that is of use: if its first unit ends at `unit_end`, that is in
-/// its file, and the cause may go away.
-fn stopped(build: Build<'_>, unit_end: Option<u64>, error: IngestError) -> IngestError {
-    // A disk may have had no room for a unit that was done. Where it does not tell, that shows later.
-    let length = build.source().map_or(u64::MAX, |source| source.len());
-    if unit_end.is_some_and(|end| end <= length) && error.may_go_away() {
-        return kept(error);
+        left.resize_with(plan.parts.len(), || None);
     }
-    // What cannot be removed either is swept by the next build of this name; the first error says
-    // more.
-    let _ = build.discard();
-    error
+
+    let mut standing = stand(disk, request, &plan, left, &mut watch)?;
+    if let Err(error) = build_all(request, &mut plan, &mut standing, &mut outcome, &mut watch) {
+        return Err(stopped(standing, error));
+    }
+    watch(Event::Publishing);
+    let made = standing.iter().map(made).collect();
+    outcome.generation = publish(disk, request, &plan, standing)?;
+    outcome.decoded_blocks = plan.parts.iter().map(|part| part.origin.decoded_blocks()).sum();
+    Ok(outcome.of(&plan, made, start))
 }
 
-/// The error of an ingest whose build is still there.
-fn kept(error: IngestError) -> IngestError {
-    if error.may_go_away() { IngestError::Kept(Box::new(error)) } else { error }
+/// What is said of an archive's levels, and its length.
+type Figures = (areoid_formats::archive::Summary, u64);
+
+fn whole(archive: &Archive) -> Figures {
+    (archive.summary().cloned().unwrap_or_default(), archive.len())
+}
+
+/// Of a part that is done.
+fn made(standing: &Standing<'_>) -> Figures {
+    match standing {
+        Standing::InPlace(archive, _) => whole(archive),
+        Standing::Build(underway) => {
+            let written = underway.written.as_ref();
+            written.map(|written| (written.summary.clone(), written.bytes)).unwrap_or_default()
+        }
+    }
+}
+
+impl Outcome {
+    /// With what was made of each part.
+    fn of(self, plan: &Plan, figures: Vec<Figures>, start: Instant) -> Self {
+        let made = |(part, (summary, bytes)): (&Part, Figures)| {
+            let (name, grid) = (part.description.dataset.clone(), part.description.grid.clone());
+            PartMade { name, grid, summary, bytes }
+        };
+        let parts: Vec<PartMade> = plan.parts.iter().zip(figures).map(made).collect();
+        Self {
+            saved: if plan.is_group { saved(&parts, plan.pixels) } else { None },
+            bytes: parts.iter().map(|part| part.bytes).sum(),
+            parts,
+            seconds: start.elapsed().as_secs_f64(),
+            ..self
+        }
+    }
+}
+
+/// What was saved by splitting so many pixels; the band is the first part.
+fn saved(parts: &[PartMade], pixels: u64) -> Option<Saved> {
+    let texels = |part: &PartMade| Estimate::of(part.grid.pyramid()).texels;
+    let band = parts.first()?;
+    let native_bytes = band.bytes as f64 * pixels as f64 / texels(band) as f64;
+    let minus = |whole: u64, parts: u64| whole.cast_signed().saturating_sub(parts.cast_signed());
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a length")]
+    let native_bytes = native_bytes as u64;
+    Some(Saved {
+        texels: minus(pixels, parts.iter().map(texels).sum()),
+        bytes: minus(native_bytes, parts.iter().map(|part| part.bytes).sum()),
+    })
+}
+
+/// Builds what is not whole yet, one part after another.
+fn build_all(
+    request: &Request,
+    plan: &mut Plan,
+    standing: &mut [Standing<'_>],
+    outcome: &mut Outcome,
+    watch: Watch<'_>,
+) -> Result<(), IngestError> {
+    let mut told = Vec::new();
+    let mut least_bytes = 0;
+    for (part, standing) in plan.parts.iter().zip(&*standing) {
+        let Standing::Build(underway) = standing else { continue };
+        least_bytes = least_bytes.max(step_bytes(&part.description, &*part.origin));
+        if let Some(leftover) = underway.leftover.filter(|leftover| !told.contains(leftover)) {
+            told.push(leftover);
+            tell(watch, Event::Leftover(leftover))?;
+        }
+    }
+    let threads = threads(request)?;
+    if request.memory_bytes < least_bytes {
+        tell(watch, Event::ShortOfMemory { least_bytes })?;
+    }
+    let (mut ready, mut estimates) = (Vec::new(), Vec::new());
+    for (part, standing) in plan.parts.iter().zip(&*standing) {
+        let made_ready = match standing {
+            Standing::InPlace(..) => None,
+            Standing::Build(underway) => {
+                let place = (&underway.build, underway.begun.as_ref());
+                Some(make_ready(request, part, place, &threads, watch)?)
+            }
+        };
+        let of_grid = || Estimate::of(part.description.grid.pyramid());
+        estimates.push(made_ready.as_ref().map_or_else(of_grid, |ready: &Ready| ready.estimate));
+        ready.push(made_ready);
+    }
+    let estimate = Estimate::together(&estimates);
+    tell(watch, Event::Estimated(estimate))?;
+    outcome.estimate = Some(estimate);
+
+    let mut tally = Tally::new(plan.parts.iter().map(|part| &part.description));
+    for ((part, standing), ready) in plan.parts.iter_mut().zip(standing).zip(ready) {
+        let (Standing::Build(underway), Some(ready)) = (&mut *standing, ready) else {
+            let units = units(&part.description) as u64;
+            tell(watch, Event::Leftover(Leftover::Resumed { units, again: 0 }))?;
+            outcome.resumed_units += units;
+            let progress = tally.skip_part(&part.description, made(standing).1);
+            tell(watch, Event::Building(progress))?;
+            continue;
+        };
+        let begun = underway.begun.take();
+        outcome.resumed_units += begun.as_ref().map_or(0, |begun| begun.archive.units);
+        let mut is_untold = begun.is_some();
+        let unit_end = &mut underway.unit_end;
+        let mut note = |progress: Progress| {
+            let Progress { units_done, units_resumed, .. } = progress;
+            if std::mem::take(&mut is_untold) {
+                let (units, again) = (units_resumed as u64, units_resumed - units_done);
+                let resumed = Leftover::Resumed { units, again: again as u64 };
+                if watch(Event::Leftover(resumed)) == Proceed::No {
+                    return Proceed::No;
+                }
+            }
+            if units_done > 0 {
+                unit_end.get_or_insert(progress.bytes);
+            }
+            watch(Event::Building(tally.with(progress)))
+        };
+        let place = (&mut underway.build, begun);
+        underway.written = Some(write(request, part, place, ready, &threads, &mut note)?);
+        tally.end_part();
+    }
+    outcome.pixels = tally.pixels();
+    Ok(())
+}
+
+/// Makes all parts visible in one step.
+fn publish(
+    disk: &dyn Disk,
+    request: &Request,
+    plan: &Plan,
+    standing: Vec<Standing<'_>>,
+) -> Result<u64, IngestError> {
+    let archives = plan.parts.iter().zip(standing).filter_map(|(part, standing)| {
+        let (finished, archive) = match standing {
+            Standing::InPlace(archive, content) => (Finished::InPlace, (archive.len(), content)),
+            Standing::Build(underway) => {
+                let written = underway.written?;
+                (Finished::Build(underway.build), (written.bytes, written.content))
+            }
+        };
+        Some((finished, dataset(request, plan, part, archive)))
+    });
+    publish_archives(disk, &request.catalog, archives.collect()).map_err(|error| match error {
+        // Another change has swept what stood in its place: the builds beside it are left.
+        CatalogError::Missing { .. } => IngestError::Kept(Box::new(error.into())),
+        error => kept(error.into()),
+    })
 }
 
 /// The newest generation of the catalog, if there is one.
@@ -158,33 +270,40 @@ fn newest(folder: &Path) -> Result<Option<Catalog>, IngestError> {
     }
 }
 
-/// What the catalog has under the name of `description`, if that is the same dataset.
+/// The archives that the catalog has under the name of `plan`, if they are the same datasets.
 fn existing(
     catalog: &Catalog,
-    description: &Description,
+    plan: &Plan,
     policy: Existing,
-) -> Result<Option<(Summary, u64)>, IngestError> {
-    let name = &description.dataset;
-    catalog.check_free(name, None)?;
-    let other = || match policy {
-        Existing::Replace => Ok(None),
-        Existing::Keep => Err(CatalogError::Exists { name: name.clone() }.into()),
-    };
-    let record = match catalog.dataset(name) {
-        Ok(record) => record,
-        Err(CatalogError::Group { .. }) => return other(),
-        Err(_) => return Ok(None),
-    };
-    let archive = match (catalog.archive(record), policy) {
-        (Ok(archive), _) => archive,
-        // What cannot be read can be replaced.
-        (Err(_), Existing::Replace) => return Ok(None),
-        (Err(error), Existing::Keep) => return Err(error.into()),
-    };
-    if archive.description() == description
-        && let Some(summary) = archive.summary()
-    {
-        return Ok(Some((summary.clone(), archive.len())));
+) -> Result<Option<Vec<Archive>>, IngestError> {
+    let group = plan.is_group.then_some(&*plan.called);
+    for part in &plan.parts {
+        catalog.check_free(&part.description.dataset, group)?;
     }
-    other()
+    let records = catalog.datasets().iter().filter(|record| record.called() == plan.called);
+    let records: Vec<_> = records.collect();
+    if records.is_empty() {
+        return Ok(None);
+    }
+    let mut archives = Vec::new();
+    for Part { description, .. } in &plan.parts {
+        let record = records.iter().find(|record| record.name == description.dataset);
+        let Some(record) = record else { continue };
+        let archive = match (catalog.archive(record), policy) {
+            (Ok(archive), _) => archive,
+            // What cannot be read can be replaced.
+            (Err(_), Existing::Replace) => return Ok(None),
+            (Err(error), Existing::Keep) => return Err(error.into()),
+        };
+        if archive.description() == description && archive.summary().is_some() {
+            archives.push(archive);
+        }
+    }
+    if archives.len() == plan.parts.len() && archives.len() == records.len() {
+        return Ok(Some(archives));
+    }
+    match policy {
+        Existing::Replace => Ok(None),
+        Existing::Keep => Err(CatalogError::Exists { name: plan.called.clone() }.into()),
+    }
 }

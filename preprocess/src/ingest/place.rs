@@ -8,9 +8,11 @@ use std::thread;
 use areoid_formats::archive::{Description, Written};
 use areoid_formats::catalog::Build;
 use areoid_formats::page::Kind;
+use rayon::ThreadPool;
 
+use super::plan::Part;
 use super::request::{Event, IngestError, Request, Watch, tell};
-use crate::build::{self, Begun, Means, Site, is_of_whole_heights};
+use crate::build::{self, Begun, Means, Proceed, Progress, Site, is_of_whole_heights};
 use crate::build_error::BuildError;
 use crate::estimate::Estimate;
 use crate::feather::HALO;
@@ -59,58 +61,72 @@ impl Site for Buffered<'_, '_> {
     }
 }
 
-/// Builds the archive in `build`, on threads of its own.
-pub(super) fn write(
-    request: &Request,
-    description: &Description,
-    origin: &mut dyn Origin,
-    (build, begun): (&mut Build<'_>, Option<Begun>),
-    watch: Watch<'_>,
-) -> Result<Written, IngestError> {
-    let failed = |source| IngestError::Build {
-        dataset: description.dataset.clone(),
-        source: Box::new(source),
-    };
-    let threads = rayon::ThreadPoolBuilder::new()
+/// What a build works with, beside its place.
+pub(super) struct Ready {
+    scratch: Arc<Scratch>,
+    /// Memory beside that of a step, in bytes.
+    spare_bytes: u64,
+    /// What it is expected to make and take.
+    pub(super) estimate: Estimate,
+}
+
+/// The threads of an ingest.
+pub(super) fn threads(request: &Request) -> Result<ThreadPool, IngestError> {
+    rayon::ThreadPoolBuilder::new()
         .num_threads(request.threads.unwrap_or(0))
         .build()
-        .map_err(|error| IngestError::Threads(error.to_string()))?;
-    let named = begun.as_ref().and_then(|begun| begun.note.as_ref()).map(Note::slots);
+        .map_err(|error| IngestError::Threads(error.to_string()))
+}
+
+/// Makes ready for a build and measures what it will take.
+pub(super) fn make_ready(
+    request: &Request,
+    Part { description, origin }: &Part,
+    (build, begun): (&Build<'_>, Option<&Begun>),
+    threads: &ThreadPool,
+    watch: Watch<'_>,
+) -> Result<Ready, IngestError> {
+    let named = begun.and_then(|begun| begun.note.as_ref()).map(Note::slots);
     let scratch = Scratch::new(build.scratch()?, &named.unwrap_or_default());
-    let scratch = scratch.map_err(|error| failed(BuildError::Scratch(error)))?;
+    let scratch = scratch.map_err(|error| failed(description, BuildError::Scratch(error)))?;
     let scratch = Arc::new(scratch);
-    let least_bytes = step_bytes(description, origin);
-    if request.memory_bytes < least_bytes {
-        tell(watch, Event::ShortOfMemory { least_bytes })?;
-    }
-    let spare_bytes = request.memory_bytes.saturating_sub(least_bytes);
+    let spare_bytes = request.memory_bytes.saturating_sub(step_bytes(description, &**origin));
     tell(watch, Event::Measuring)?;
     let pyramid = description.grid.pyramid();
-    let done = begun.as_ref().map_or(0, |begun| begun.archive.units) as f64;
+    let done = begun.map_or(0, |begun| begun.archive.units) as f64;
     let units = Schedule::new(pyramid, description.unit_pages, HALO).remaining().max(1) as f64;
     let estimate = threads.install(|| {
         let left = 1.0 - done / units;
         let mut go_on = || watch(Event::Measuring);
         let estimate = Estimate::of(pyramid);
-        estimate.measure(description, origin, &scratch, spare_bytes, left, &mut go_on)
+        estimate.measure(description, &**origin, &scratch, spare_bytes, left, &mut go_on)
     });
-    tell(watch, Event::Estimated(estimate))?;
+    Ok(Ready { scratch, spare_bytes, estimate })
+}
+
+/// Builds the archive in `build`.
+pub(super) fn write(
+    request: &Request,
+    Part { description, origin }: &mut Part,
+    (build, begun): (&mut Build<'_>, Option<Begun>),
+    Ready { scratch, spare_bytes, .. }: Ready,
+    threads: &ThreadPool,
+    watch: &mut (dyn FnMut(Progress) -> Proceed + Send),
+) -> Result<Written, IngestError> {
     // A quarter for the rasters' blocks, which wait only where strips are wide.
     let aside = Arc::new(Aside::new(Arc::clone(&scratch)));
     origin.spill(&Arc::new(Overflow::new(aside, spare_bytes / 4)));
     let frontier_bytes = spare_bytes - spare_bytes / 4;
     let means = Means { scratch, frontier_bytes, note_every: request.note_every };
-    let origin = &*origin;
+    let origin = &**origin;
     let sync_now = build.syncing()?;
     let built = thread::scope(|scope| {
         let (sync, asked) = sync_channel(0);
         let synced = scope.spawn(move || asked.into_iter().try_for_each(|()| sync_now()));
         let sink = BufWriter::with_capacity(WRITTEN_TOGETHER, build);
         let site = Buffered { sink, unsynced: 0, sync };
-        let built = threads.install(|| {
-            let watch = |progress| watch(Event::Building(progress));
-            build::build(description, origin, site, &means, begun, watch)
-        });
+        let built =
+            threads.install(|| build::build(description, origin, site, &means, begun, watch));
         let built = built.and_then(|(Buffered { sink, .. }, written)| match sink.into_inner() {
             Ok(_) => Ok(written),
             Err(error) => Err(BuildError::Write(error.into_error())),
@@ -126,13 +142,17 @@ pub(super) fn write(
         // Rasters that changed say why they could not be read.
         origin.check_unchanged()?;
     }
-    built.map_err(failed)
+    built.map_err(|error| failed(description, error))
+}
+
+fn failed(description: &Description, source: BuildError) -> IngestError {
+    IngestError::Build { dataset: description.dataset.clone(), source: Box::new(source) }
 }
 
 /// What a step of the build needs beside the pages that wait, in bytes: its leaves and those of the
 /// next unit, the pages fetched and made, with their finest texels where there may be holes, and the
 /// blocks that leaves are cut from.
-fn step_bytes(description: &Description, origin: &dyn Origin) -> u64 {
+pub(super) fn step_bytes(description: &Description, origin: &dyn Origin) -> u64 {
     const EVERYTHING_ELSE: u64 = 48 << 20;
     let side = u64::from(description.grid.pyramid().page_side());
     let texel = match description.kind {

@@ -10,29 +10,48 @@ use areoid_formats::body::Body;
 use areoid_formats::catalog::{Catalog, CatalogError};
 use areoid_formats::codec::Quantum;
 use areoid_formats::geodesy::LatitudeKind;
+use areoid_formats::grid::Placement;
 use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::UNIT_PAGES;
-use super::request::{Event, IngestError, Reading, Request, Watch, tell};
+use super::request::{Event, IngestError, Reading, Request, TargetGrid, Watch, tell};
 use crate::feather::FEATHER_TEXELS;
 use crate::mosaic::{Layout, Mosaic, MosaicError};
 use crate::origin::Origin;
 use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
 use crate::resample::kernel::RangeLimit;
-use crate::resample::target::{TargetMap, TargetRequest, target_grid};
+use crate::resample::target::{Split, TargetMap, TargetRequest, split, target_grid};
 use crate::resample::transform::Precision;
 use crate::resample::truth::SourcePixels;
 use crate::resample::{self, Resampler};
 use crate::truth::Truth;
+
+/// What becomes of the rasters.
+pub(super) struct Plan {
+    /// What the user calls it.
+    pub(super) called: String,
+    /// The datasets: one of that name, or the parts of a group of that name.
+    pub(super) parts: Vec<Part>,
+    /// Whether they are a group.
+    pub(super) is_group: bool,
+    /// Pixels of the grid that the rasters share.
+    pub(super) pixels: u64,
+}
+
+/// A dataset to be built.
+pub(super) struct Part {
+    pub(super) description: Description,
+    pub(super) origin: Box<dyn Origin>,
+}
 
 /// Opens the rasters and decides what becomes of them.
 pub(super) fn plan(
     request: &Request,
     catalog: Option<&Catalog>,
     watch: Watch<'_>,
-) -> Result<(Description, Box<dyn Origin>), IngestError> {
+) -> Result<Plan, IngestError> {
     let catalog_body = catalog.filter(|c| !c.datasets().is_empty()).map(Catalog::body);
     let (rasters, crs, body) = open(&request.rasters, &request.reading, catalog_body)?;
     if let Some(catalog) = catalog_body.filter(|catalog| !catalog.same_as(&body)) {
@@ -48,14 +67,17 @@ pub(super) fn plan(
         (None, 1 | 2) => Kind::Height,
         (None, _) => Kind::Color,
     };
-    let name = match &request.name {
+    let called = match &request.name {
         Some(name) => name.clone(),
         None => {
             let stem = first.path.file_stem().and_then(|stem| stem.to_str());
             stem.unwrap_or_default().to_owned()
         }
     };
-    let origin = origin(request, rasters, crs, kind)?;
+    let layout = Layout::new(rasters, crs)?;
+    let placement = layout.placement()?;
+    let pixels = u64::from(placement.width) * u64::from(placement.height);
+    let origins = origins(request, layout, placement, kind)?;
     let files = fingerprints(&request.rasters, watch)?;
     let reading = &request.reading;
     let source = Source {
@@ -66,50 +88,66 @@ pub(super) fn plan(
         body: reading.body.clone(),
         latitudes: reading.latitudes.map(|kind| latitudes_name(kind).to_owned()),
     };
-    let description = Description {
-        dataset: name,
-        kind,
-        body,
-        grid: origin.grid().clone(),
-        quantum: quantum(kind, &first, request.step_m)?,
-        priority: request.priority,
-        feather_texels: FEATHER_TEXELS,
-        unit_pages: UNIT_PAGES,
-        source,
-        resampling: is_resampled(request).then(|| Resampling {
-            kernel: request.kernel.name().to_owned(),
-            range_limited: request.limit == RangeLimit::Taps,
-        }),
+    let quantum = quantum(kind, &first, request.step_m)?;
+    let is_group = origins.len() > 1;
+    let part = |(part, is_resampled, origin): (&str, bool, Box<dyn Origin>)| Part {
+        description: Description {
+            dataset: if is_group { format!("{called}.{part}") } else { called.clone() },
+            kind,
+            body: body.clone(),
+            grid: origin.grid().clone(),
+            quantum,
+            priority: request.priority,
+            feather_texels: FEATHER_TEXELS,
+            unit_pages: UNIT_PAGES,
+            source: source.clone(),
+            resampling: is_resampled.then(|| Resampling {
+                kernel: request.kernel.name().to_owned(),
+                range_limited: request.limit == RangeLimit::Taps,
+            }),
+        },
+        origin,
     };
-    Ok((description, origin))
+    let parts = origins.into_iter().map(part).collect();
+    Ok(Plan { called, parts, is_group, pixels })
 }
 
-/// Whether the dataset's grid is another than that of the rasters.
-fn is_resampled(request: &Request) -> bool {
-    request.grid != TargetMap::Native || request.pixel_size.is_some()
-}
-
-/// Where the leaves come from: the rasters as they are, or resampled.
-fn origin(
+/// Where the leaves come from, the rasters as they are or resampled: what part of a group they are,
+/// and whether they are resampled.
+fn origins(
     request: &Request,
-    rasters: Vec<Arc<dyn Raster>>,
-    crs: Crs,
+    layout: Layout,
+    placement: Placement,
     kind: Kind,
-) -> Result<Box<dyn Origin>, IngestError> {
-    if !is_resampled(request) {
-        return Ok(Box::new(Mosaic::new(rasters, crs, kind, request.page_side)?));
-    }
-    let layout = Layout::new(rasters, crs)?;
-    let placement = layout.placement()?;
-    let wanted = TargetRequest {
-        map: request.grid,
-        pixel_size: request.pixel_size,
-        page_side: request.page_side,
-    };
-    let grid = target_grid(&[placement], wanted)?;
+) -> Result<Vec<(&'static str, bool, Box<dyn Origin>)>, IngestError> {
     let (kernel, limit, precision) = (request.kernel, request.limit, Precision::default());
     let resampling = resample::Resampling { kernel, limit, precision };
-    Ok(Box::new(Resampler::new(grid, layout, placement, kind, resampling)?))
+    let map = match request.grid {
+        TargetGrid::One(TargetMap::Native) if request.pixel_size.is_none() => {
+            let rows = 0..placement.height;
+            let origin = Mosaic::of_rows(&layout, rows, kind, request.page_side)?;
+            return Ok(vec![("", false, Box::new(origin))]);
+        }
+        TargetGrid::One(map) => map,
+        TargetGrid::Split if request.pixel_size.is_some() => {
+            let reason = "a split raster keeps its own pixels: leave the pixel size out";
+            return Err(IngestError::Request(reason.to_owned()));
+        }
+        TargetGrid::Split => {
+            let Split { rows, north, south } = split(&placement, request.page_side)?;
+            let band = Mosaic::of_rows(&layout, rows, kind, request.page_side)?;
+            let cap = |grid| Resampler::new(grid, layout.clone(), placement, kind, resampling);
+            return Ok(vec![
+                ("band", false, Box::new(band)),
+                ("north", true, Box::new(cap(north)?)),
+                ("south", true, Box::new(cap(south)?)),
+            ]);
+        }
+    };
+    let (pixel_size, page_side) = (request.pixel_size, request.page_side);
+    let grid = target_grid(&[placement], TargetRequest { map, pixel_size, page_side })?;
+    let resampler = Resampler::new(grid, layout, placement, kind, resampling)?;
+    Ok(vec![("", true, Box::new(resampler))])
 }
 
 /// The rasters of a dataset, what they are projected by, and the body they show.
@@ -245,13 +283,14 @@ pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Box<dyn Truth>, In
     };
     let (rasters, crs, _) = open(paths, &reading, Some(&description.body))?;
     let (grid, kind) = (&description.grid, description.kind);
+    let layout = Layout::new(rasters, crs)?;
     let (on_grid, truth): (bool, Box<dyn Truth>) = if description.resampling.is_some() {
-        let layout = Layout::new(rasters, crs)?;
         let placement = layout.placement()?;
         let pixels = SourcePixels::new(grid.clone(), &layout, placement, kind)?;
         (pixels.are_on_grid(), Box::new(pixels))
     } else {
-        let mosaic = Mosaic::new(rasters, crs, kind, grid.pyramid().page_side())?;
+        let rows = layout.rows_of(grid);
+        let mosaic = Mosaic::of_rows(&layout, rows, kind, grid.pyramid().page_side())?;
         (mosaic.grid() == grid, Box::new(mosaic))
     };
     if !on_grid {

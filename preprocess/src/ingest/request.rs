@@ -6,6 +6,7 @@ use std::time::Duration;
 use areoid_formats::archive::{ArchiveError, Summary};
 use areoid_formats::catalog::{CatalogError, Existing};
 use areoid_formats::geodesy::LatitudeKind;
+use areoid_formats::grid::Grid;
 use areoid_formats::page::Kind;
 use areoid_formats::units::Meters;
 
@@ -31,8 +32,8 @@ pub struct Request {
     pub kind: Option<Kind>,
     /// The step in meters that heights are stored on; 0 or `None` is lossless.
     pub step_m: Option<f64>,
-    /// The grid of the dataset.
-    pub grid: TargetMap,
+    /// The grid of the dataset, or of its parts.
+    pub grid: TargetGrid,
     /// Ground meters to a texel where the grid's map is truest; those of the rasters if `None`.
     pub pixel_size: Option<Meters>,
     /// How texels are made of pixels where the grid is not the rasters' own.
@@ -56,6 +57,16 @@ pub struct Request {
     pub note_every: Duration,
     /// How the rasters are read.
     pub reading: Reading,
+}
+
+/// What the texels of a dataset lie on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TargetGrid {
+    /// One grid.
+    One(TargetMap),
+    /// A band on the raster's own grid and a cap about each pole, which overlap: a group of three
+    /// datasets, its name with `.band`, `.north` and `.south` behind it.
+    Split,
 }
 
 /// What becomes of a build that did not come to its end.
@@ -82,7 +93,8 @@ pub struct Reading {
     pub latitudes: Option<LatitudeKind>,
 }
 
-/// What an ingest tells of itself, in this order. The answer is heeded, but of the last.
+/// What an ingest tells of itself, in this order. The answer is heeded, but of the last. Of parts
+/// built one after another it tells as of one build; which of them are gone on with, as each begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Event {
@@ -141,15 +153,17 @@ pub enum Leftover {
 /// What an ingest did.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
-    /// The dataset's name.
+    /// The name of the dataset, or of the group.
     pub dataset: String,
+    /// The dataset, or the parts of the group.
+    pub parts: Vec<PartMade>,
+    /// What was saved by splitting.
+    pub saved: Option<Saved>,
     /// Whether it was there already, made from the same input with the same options.
     pub already_there: bool,
     /// The generation of the catalog that has it.
     pub generation: u64,
-    /// What its archive says of its levels.
-    pub summary: Summary,
-    /// Length of its archive in bytes.
+    /// Length of all archives in bytes.
     pub bytes: u64,
     /// Pixels read.
     pub pixels: u64,
@@ -161,6 +175,30 @@ pub struct Outcome {
     pub resumed_units: u64,
     /// Wall-clock seconds.
     pub seconds: f64,
+}
+
+/// A dataset that an ingest made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PartMade {
+    /// Its name.
+    pub name: String,
+    /// Where its texels lie.
+    pub grid: Grid,
+    /// What its archive says of its levels.
+    pub summary: Summary,
+    /// Length of its archive in bytes.
+    pub bytes: u64,
+}
+
+/// How much smaller the parts of a split raster are than its pyramid on its own grid; negative
+/// where they are larger.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Saved {
+    /// Texels of the finest levels.
+    pub texels: i64,
+    /// About so many bytes: the pyramid is not built to know it, and taken to have as many a texel as
+    /// the band. Rows near the poles, whose pixels resemble one another, take fewer.
+    pub bytes: i64,
 }
 
 /// An ingest that did not come to its end. The catalog is as it was.

@@ -1,10 +1,12 @@
 //! Rasters side by side and over one another: where each lies among their common pixels.
 
+use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use areoid_formats::grid::{GridError, Outline, Placement};
+use areoid_formats::grid::{Grid, GridError, Outline, Placement};
 use areoid_formats::projection::Crs;
+use areoid_formats::pyramid::{Extent, PoleContact};
 
 use crate::raster::Raster;
 
@@ -178,6 +180,40 @@ impl Layout {
             let path = self.parts[0].raster.info().path.clone();
             MosaicError::Grid { path, source }
         })
+    }
+
+    /// The grid of some of the rows: the pixels lie where they do on the grid of all.
+    ///
+    /// # Errors
+    ///
+    /// [`MosaicError::Grid`] if they make none.
+    pub fn grid_of_rows(&self, rows: Range<u32>, page_side: u32) -> Result<Grid, MosaicError> {
+        let placement = self.placement()?;
+        let Placement { crs, origin: [left, top], pixel_size, height, .. } = placement;
+        let contact = |reached, contact| if reached { contact } else { PoleContact::None };
+        let extent = Extent {
+            height: rows.len().try_into().unwrap_or(height),
+            north: contact(rows.start == 0, placement.north),
+            south: contact(rows.end == height, placement.south),
+            ..placement.extent()
+        };
+        let origin = [left, top - f64::from(rows.start) * pixel_size[1]];
+        Grid::new(crs, origin, pixel_size, extent, page_side).map_err(|source| {
+            let path = self.parts[0].raster.info().path.clone();
+            MosaicError::Grid { path, source }
+        })
+    }
+
+    /// The rows of the grid of all rows that `grid` has, if it lies on it; else all.
+    #[must_use]
+    pub fn rows_of(&self, grid: &Grid) -> Range<u32> {
+        let Outline { height, .. } = self.outline;
+        let all = 0..height;
+        let Ok(placement) = self.placement() else { return all };
+        let rows = (placement.origin[1] - grid.origin()[1]) / placement.pixel_size[1];
+        let Some(start) = whole(rows.round()) else { return all };
+        let rows = start..start.saturating_add(grid.pyramid().extent().height);
+        if rows.end <= height { rows } else { all }
     }
 
     /// The rasters, each over those before it.

@@ -67,8 +67,9 @@ impl Leaves for Mosaic {
     fn may_have_holes(&self) -> bool {
         let extent = self.grid.pyramid().extent();
         let whole = |part: &Part| {
-            (part.col, part.row, part.width, part.height) == (0, 0, extent.width, extent.height)
-                && part.is_solid()
+            let last = part.row + i64::from(part.height);
+            let all_rows = part.row <= 0 && last >= i64::from(extent.height);
+            all_rows && (part.col, part.width) == (0, extent.width) && part.is_solid()
         };
         !self.parts.iter().any(whole)
     }
@@ -117,7 +118,8 @@ impl Place {
     pub(super) fn of(pyramid: &Pyramid, page: PageAddress) -> Self {
         let (height, width) = pyramid.interior_size(page);
         let interior = pyramid.interior();
-        Self { col: page.col * interior, row: page.row * interior, width, height }
+        let row = i64::from(page.row * interior);
+        Self { col: page.col * interior, row, width, height }
     }
 
     fn len(self) -> usize {
@@ -146,13 +148,14 @@ impl Part {
     }
 
     pub(super) fn overlap(&self, leaf: Place) -> Option<Overlap> {
-        let shared = |leaf: u32, length: u32, part: u32, used: u32| {
-            let start = leaf.saturating_sub(part);
-            let end = (leaf + length).saturating_sub(part).min(used);
-            (start < end).then_some(start..end)
+        let shared = |leaf: i64, length: u32, part: i64, used: u32| {
+            let start = (leaf - part).max(0);
+            let end = (leaf + i64::from(length) - part).min(used.into());
+            let range = u32::try_from(start).ok()?..u32::try_from(end).ok()?;
+            (!range.is_empty()).then_some(range)
         };
         let rows = shared(leaf.row, leaf.height, self.row, self.height)?;
-        let cols = shared(leaf.col, leaf.width, self.col, self.width)?;
+        let cols = shared(leaf.col.into(), leaf.width, self.col.into(), self.width)?;
         Some(Overlap { cols, rows })
     }
 
@@ -183,8 +186,10 @@ impl Part {
                 cols: whole.cols.start.max(cols.start)..whole.cols.end.min(cols.end),
                 rows: whole.rows.start.max(rows.start)..whole.rows.end.min(rows.end),
             };
-            let to_row = (self.row + window.rows.start - place.row + Pyramid::BORDER) as usize;
+            let border = i64::from(Pyramid::BORDER);
+            let to_row = self.row + i64::from(window.rows.start) - place.row + border;
             let to_col = (self.col + window.cols.start - place.col + Pyramid::BORDER) as usize;
+            let to_row = usize::try_from(to_row).expect("a row of the leaf");
             let at = to_row * side + to_col;
             let filled = match &mut raw.planes {
                 Planes::Height(out) => heights_into(&block, info, &window, &mut out[at..], side),

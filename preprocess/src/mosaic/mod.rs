@@ -11,6 +11,7 @@ mod truth;
 pub use self::layout::{Layout, MosaicError, Placed};
 
 use std::collections::HashSet;
+use std::ops::Range;
 use std::sync::Arc;
 
 use areoid_formats::address::PageAddress;
@@ -35,10 +36,12 @@ pub struct Mosaic {
 struct Part {
     raster: Arc<dyn Raster>,
     blocks: BlockCache,
-    /// Column and row of its first pixel in the finest level.
+    /// Column and row of its first pixel in the finest level: the row is negative where the grid
+    /// begins farther down.
     col: u32,
-    row: u32,
-    /// Pixels of it that are used: all but a column that repeats the first.
+    row: i64,
+    /// Columns and rows of it up to the end of the grid: all but a column that repeats the first,
+    /// and rows below.
     width: u32,
     height: u32,
 }
@@ -56,17 +59,29 @@ impl Mosaic {
         page_side: u32,
     ) -> Result<Self, MosaicError> {
         let layout = Layout::new(rasters, crs)?;
-        let native = Grid::from_outline(crs, layout.outline(), page_side).map_err(|source| {
-            let path = layout.parts()[0].raster.info().path.clone();
-            MosaicError::Grid { path, source }
-        })?;
-        let grid = native.grid;
+        let rows = 0..layout.outline().height;
+        Self::of_rows(&layout, rows, kind, page_side)
+    }
+
+    /// Some rows of a layout, on the grid of its pixels.
+    ///
+    /// # Errors
+    ///
+    /// [`MosaicError::Grid`] if they make no grid.
+    pub fn of_rows(
+        layout: &Layout,
+        rows: Range<u32>,
+        kind: Kind,
+        page_side: u32,
+    ) -> Result<Self, MosaicError> {
+        let grid = layout.grid_of_rows(rows.clone(), page_side)?;
         let extent = grid.pyramid().extent();
         let part = |Placed { raster, col, row }: &Placed| {
             let (raster, info) = (Arc::clone(raster), raster.info());
-            let (col, row) = (*col, *row);
+            let (col, row) = (*col, i64::from(*row) - i64::from(rows.start));
             let width = info.width.min(extent.width.saturating_sub(col));
-            let height = info.height.min(extent.height.saturating_sub(row));
+            let before_end = (i64::from(extent.height) - row).max(0);
+            let height = u32::try_from(before_end).map_or(info.height, |end| info.height.min(end));
             let uses = uses(info, Place { col, row, width, height }, grid.pyramid());
             Part {
                 blocks: BlockCache::new(Arc::clone(&raster), uses),
@@ -106,8 +121,16 @@ impl Origin for Mosaic {
     }
 
     fn blocks(&self) -> u64 {
-        let blocks = self.parts.iter().map(|part| part.raster.info().blocks());
-        blocks.map(|(across, down)| u64::from(across) * u64::from(down)).sum()
+        let blocks = |part: &Part| {
+            let info = part.raster.info();
+            let first = u32::try_from(-part.row).unwrap_or(0);
+            if first >= part.height {
+                return 0;
+            }
+            let down = (part.height - 1) / info.block_height - first / info.block_height + 1;
+            u64::from(info.blocks().0) * u64::from(down)
+        };
+        self.parts.iter().map(blocks).sum()
     }
 
     fn decoded_for(&self, leaves: &[PageAddress]) -> u64 {
@@ -123,30 +146,29 @@ impl Origin for Mosaic {
     }
 }
 
-/// A rectangle of a raster's pixels on the grid.
+/// A rectangle of a raster's pixels on the grid; its first rows may be above it.
 #[derive(Clone, Copy)]
 struct Place {
     col: u32,
-    row: u32,
+    row: i64,
     width: u32,
     height: u32,
 }
 
 /// How many leaves look at each block of a raster at `place`.
 fn uses(info: &RasterInfo, place: Place, pyramid: &Pyramid) -> impl Fn(u32, u32) -> u32 + use<> {
-    let interior = pyramid.interior();
+    let interior = i64::from(pyramid.interior());
     let (block_width, block_height) = (info.block_width, info.block_height);
-    let leaves = move |start: u32, length: u32, used: u32, offset: u32| {
-        let end = (start + length).min(used);
-        if start >= end {
-            0
-        } else {
-            (offset + end - 1) / interior - (offset + start) / interior + 1
-        }
+    let leaves = move |block: u32, length: u32, used: u32, offset: i64| {
+        let start = i64::from(block) * i64::from(length);
+        let end = (start + i64::from(length)).min(i64::from(used)) + offset;
+        let start = (start + offset).max(0);
+        if start >= end { 0 } else { (end - 1) / interior - start / interior + 1 }
     };
     move |block_col, block_row| {
-        leaves(block_col * block_width, block_width, place.width, place.col)
-            * leaves(block_row * block_height, block_height, place.height, place.row)
+        let across = leaves(block_col, block_width, place.width, place.col.into());
+        let down = leaves(block_row, block_height, place.height, place.row);
+        u32::try_from(across * down).unwrap_or(u32::MAX)
     }
 }
 

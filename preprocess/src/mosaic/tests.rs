@@ -150,6 +150,36 @@ fn heights_of_a_later_raster_show_where_it_has_data() {
     }
 }
 
+/// A band of a mosaic: rows of the rasters begin above it, end in it and below it, or miss it.
+#[test]
+fn a_band_has_the_pixels_of_the_whole() {
+    let rasters = || {
+        let rasters = [
+            painted((0, 0), (80, 70), 1, false, full_heights),
+            painted((50, 20), (70, 30), 1, false, striped),
+            painted((0, 70), (120, 20), 1, false, striped),
+        ];
+        rasters.into_iter().map(|raster| Arc::new(raster) as Arc<dyn Raster>).collect()
+    };
+    let layout = Layout::new(rasters(), crs()).unwrap();
+    for rows in [0..90, 33..81, 42..70, 3..21, 71..90] {
+        let band = Mosaic::of_rows(&layout, rows.clone(), Kind::Height, 34).unwrap();
+        assert_eq!(layout.rows_of(band.grid()), rows);
+        let [left, top] = layout.grid_of_rows(0..90, 34).unwrap().origin();
+        assert_eq!(band.grid().origin(), [left, top - f64::from(rows.start)]);
+        check(&band, (120, rows.end - rows.start), |col, row| {
+            let row = row + rows.start;
+            let valid = |value: Vec<u8>| (value[0] != 7).then(|| f32::from(value[0]));
+            let of = |value| valid(value).map(|height| (vec![height], u8::MAX));
+            let third = (row >= 70).then(|| striped(col, row - 70)).and_then(of);
+            let second =
+                (col >= 50 && (20..50).contains(&row)).then(|| striped(col - 50, row - 20));
+            let first = (col < 80 && row < 70).then(|| full_heights(col, row));
+            third.or_else(|| second.and_then(of)).or_else(|| first.and_then(of))
+        });
+    }
+}
+
 fn solid(col: u32, row: u32) -> Vec<u8> {
     vec![low(col) | 8, low(row) | 8, low(col + row) | 8, 255]
 }
