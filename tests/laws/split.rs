@@ -181,7 +181,7 @@ fn check_blend(both: &Both) {
     let bottom = top - row * band["height"].as_f64().unwrap();
     for (seam, outline) in [(60.0, top), (-60.0, bottom)] {
         // Eight samples a row, from beyond one outline to beyond the other.
-        let span = 2.0 * (outline - seam) as f64;
+        let span = 2.0 * (outline - seam);
         let count = (2.0 * span.abs() / row * 8.0) as usize;
         let (mut smooth, mut largest) = ([0.0; 2], [0.0_f64; 2]);
         for meridian in 0..24 {

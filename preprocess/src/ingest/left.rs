@@ -20,7 +20,7 @@ use crate::note::Note;
 pub(super) enum Standing<'a> {
     /// A whole archive in its place, with its content: a process killed between its last two steps
     /// left it.
-    InPlace(Archive, u64),
+    InPlace(Box<Archive>, u64),
     /// A build.
     Build(Box<Underway<'a>>),
 }
@@ -128,7 +128,7 @@ pub(super) fn stand<'a>(
     let mut standing = Vec::new();
     for (part, left) in plan.parts.iter().zip(left) {
         let found = match left {
-            Some((archive, content)) => Ok(Standing::InPlace(archive, content)),
+            Some((archive, content)) => Ok(Standing::InPlace(Box::new(archive), content)),
             None => begin(disk, request, &part.description, watch)
                 .map(|underway| Standing::Build(Box::new(underway))),
         };

@@ -90,7 +90,7 @@ pub(super) fn plan(
     };
     let quantum = quantum(kind, &first, request.step_m)?;
     let is_group = origins.len() > 1;
-    let part = |(part, is_resampled, origin): (&str, bool, Box<dyn Origin>)| Part {
+    let part = |(part, is_resampled, origin): PartFrom| Part {
         description: Description {
             dataset: if is_group { format!("{called}.{part}") } else { called.clone() },
             kind,
@@ -112,14 +112,16 @@ pub(super) fn plan(
     Ok(Plan { called, parts, is_group, pixels })
 }
 
-/// Where the leaves come from, the rasters as they are or resampled: what part of a group they are,
-/// and whether they are resampled.
+/// What part of a group some leaves are, whether they are resampled, and where they come from.
+type PartFrom = (&'static str, bool, Box<dyn Origin>);
+
+/// Where the leaves of each part come from, the rasters as they are or resampled.
 fn origins(
     request: &Request,
     layout: Layout,
     placement: Placement,
     kind: Kind,
-) -> Result<Vec<(&'static str, bool, Box<dyn Origin>)>, IngestError> {
+) -> Result<Vec<PartFrom>, IngestError> {
     let (kernel, limit, precision) = (request.kernel, request.limit, Precision::default());
     let resampling = resample::Resampling { kernel, limit, precision };
     let map = match request.grid {
