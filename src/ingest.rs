@@ -45,11 +45,12 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR")]
     catalog: PathBuf,
 
-    /// The dataset's name [default: the stem of the first raster].
+    /// The dataset's name [default: the stem of the first raster, with .normal behind it for normals].
     #[arg(long)]
     name: Option<String>,
 
-    /// What the samples are [default: height for one band, color for three or four].
+    /// What the dataset shows: the samples as heights or as colors, or the normals of the ground whose
+    /// heights they are [default: height for one band, color for three or four].
     #[arg(long, value_enum)]
     kind: Option<KindArg>,
 
@@ -174,9 +175,6 @@ impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
         if self.grid == GridArg::Split {
             return Err(Failure::Misused("--grid split is not supported yet".to_owned()));
-        }
-        if matches!(self.kind, Some(KindArg::Normal)) {
-            return Err(Failure::Misused("--kind normal is not supported yet".to_owned()));
         }
         let own_grid = self.grid == GridArg::Native && self.pixel_size_m.is_none();
         if self.kernel.is_some() && own_grid {

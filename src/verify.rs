@@ -59,8 +59,8 @@ impl Args {
             let report = if self.against.is_empty() {
                 verify(archive, None)?
             } else {
-                let mosaic = ingest::reopen(&self.against, archive)?;
-                verify(archive, Some(&mosaic))?
+                let origin = ingest::reopen(&self.against, archive)?;
+                verify(archive, Some(&*origin))?
             };
             problems.extend(report.problems.iter().map(|p| format!("{}: {p}", record.name)));
             levels.extend(level_rows(archive, &report, !self.against.is_empty()));

@@ -39,6 +39,8 @@ pub mod mosaic;
 pub mod estimate;
 pub mod resample;
 
+pub mod normals;
+
 pub mod ingest;
 
 pub mod verify;

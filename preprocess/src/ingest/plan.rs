@@ -18,6 +18,7 @@ use super::UNIT_PAGES;
 use super::request::{Event, IngestError, Reading, Request, Watch, tell};
 use crate::feather::FEATHER_TEXELS;
 use crate::mosaic::{Layout, Mosaic, MosaicError};
+use crate::normals::Normals;
 use crate::origin::Origin;
 use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
 use crate::resample::kernel::RangeLimit;
@@ -39,9 +40,6 @@ pub(super) fn plan(
     }
     let first = rasters.first().ok_or(MosaicError::Empty)?.info().clone();
     let kind = match (request.kind, first.bands) {
-        (Some(Kind::Normal), _) => {
-            return Err(IngestError::Request("--kind normal is not supported yet".to_owned()));
-        }
         (Some(kind), _) => kind,
         (None, 1 | 2) => Kind::Height,
         (None, _) => Kind::Color,
@@ -49,8 +47,10 @@ pub(super) fn plan(
     let name = match &request.name {
         Some(name) => name.clone(),
         None => {
-            let stem = first.path.file_stem().and_then(|stem| stem.to_str());
-            stem.unwrap_or_default().to_owned()
+            let stem = first.path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+            // The heights that normals are made of come from the same file.
+            let what = if kind == Kind::Normal { ".normal" } else { "" };
+            format!("{stem}{what}")
         }
     };
     let origin = origin(request, rasters, crs, kind)?;
@@ -87,7 +87,7 @@ fn is_resampled(request: &Request) -> bool {
     request.grid != TargetMap::Native || request.pixel_size.is_some()
 }
 
-/// Where the leaves come from: the rasters as they are, or resampled.
+/// Where the leaves come from: the rasters as they are, or resampled, or the normals of either.
 fn origin(
     request: &Request,
     rasters: Vec<Arc<dyn Raster>>,
@@ -95,7 +95,7 @@ fn origin(
     kind: Kind,
 ) -> Result<Box<dyn Origin>, IngestError> {
     if !is_resampled(request) {
-        return Ok(Box::new(Mosaic::new(rasters, crs, kind, request.page_side)?));
+        return native(rasters, crs, kind, request.page_side);
     }
     let layout = Layout::new(rasters, crs)?;
     let placement = layout.placement()?;
@@ -107,7 +107,25 @@ fn origin(
     let grid = target_grid(&[placement], wanted)?;
     let (kernel, limit, precision) = (request.kernel, request.limit, Precision::default());
     let resampling = resample::Resampling { kernel, limit, precision };
+    if kind == Kind::Normal {
+        let heights = Resampler::new(grid, layout, placement, Kind::Height, resampling)?;
+        return Ok(Box::new(Normals::new(Box::new(heights.unrounded()))));
+    }
     Ok(Box::new(Resampler::new(grid, layout, placement, kind, resampling)?))
+}
+
+/// Leaves on the rasters' own grid.
+fn native(
+    rasters: Vec<Arc<dyn Raster>>,
+    crs: Crs,
+    kind: Kind,
+    page_side: u32,
+) -> Result<Box<dyn Origin>, IngestError> {
+    if kind == Kind::Normal {
+        let heights = Mosaic::new(rasters, crs, Kind::Height, page_side)?;
+        return Ok(Box::new(Normals::new(Box::new(heights))));
+    }
+    Ok(Box::new(Mosaic::new(rasters, crs, kind, page_side)?))
 }
 
 /// The rasters of a dataset, what they are projected by, and the body they show.
@@ -223,12 +241,12 @@ fn read_chunk(file: &mut File, chunk: &mut Vec<u8>) -> io::Result<usize> {
     file.take(2 << 20).read_to_end(chunk)
 }
 
-/// Opens the rasters that `archive` was made from, as it was made from them.
+/// Opens the rasters that `archive` was made from, as it was made from them: its leaves once more.
 ///
 /// # Errors
 ///
 /// [`IngestError`] if they cannot be read, or do not lie on the archive's grid.
-pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Mosaic, IngestError> {
+pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Box<dyn Origin>, IngestError> {
     let description = archive.description();
     let source = &description.source;
     let reading = Reading {
@@ -242,12 +260,12 @@ pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Mosaic, IngestErro
     };
     let (rasters, crs, _) = open(paths, &reading, Some(&description.body))?;
     let page_side = description.grid.pyramid().page_side();
-    let mosaic = Mosaic::new(rasters, crs, description.kind, page_side)?;
-    if *mosaic.grid() != description.grid {
+    let origin = native(rasters, crs, description.kind, page_side)?;
+    if *origin.grid() != description.grid {
         let dataset = &description.dataset;
         let reason =
             format!("the rasters do not lie on the grid of {dataset}: was it made from them?");
         return Err(IngestError::Request(reason));
     }
-    Ok(mosaic)
+    Ok(origin)
 }

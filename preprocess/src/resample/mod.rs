@@ -70,6 +70,14 @@ pub struct Resampler {
     rasters: Arc<Rasters>,
     transform: Transform,
     prepared: PreparedSource,
+    heights: Heights,
+}
+
+/// What becomes of heights between whole meters, where the source has none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Heights {
+    Rounded,
+    AsTheyAre,
 }
 
 impl Resampler {
@@ -87,7 +95,15 @@ impl Resampler {
     ) -> Result<Self, OtherBody> {
         let transform = Transform::new(&grid, &placement, resampling.precision).ok_or(OtherBody)?;
         let (rasters, prepared) = sources(&layout, kind, &transform, resampling, None);
-        Ok(Self { grid, resampling, layout, rasters, transform, prepared })
+        let heights = Heights::Rounded;
+        Ok(Self { grid, resampling, layout, rasters, transform, prepared, heights })
+    }
+
+    /// The same with heights that are not rounded to whole meters where those of the rasters are: for
+    /// what is derived from them.
+    #[must_use]
+    pub fn unrounded(self) -> Self {
+        Self { heights: Heights::AsTheyAre, ..self }
     }
 
     /// How often a prepared tile was made, and how many there are.
@@ -159,7 +175,7 @@ impl Origin for Resampler {
             self.rasters.kind(),
             self.resampling,
         );
-        Box::new(made.expect("the same bodies as before"))
+        Box::new(Self { heights: self.heights, ..made.expect("the same bodies as before") })
     }
 
     fn spill(&mut self, overflow: &Arc<Overflow>) {
