@@ -46,11 +46,12 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR")]
     catalog: PathBuf,
 
-    /// The dataset's name [default: the stem of the first raster].
+    /// The dataset's name [default: the stem of the first raster, with .normal behind it for normals].
     #[arg(long)]
     name: Option<String>,
 
-    /// What the samples are [default: height for one band, color for three or four].
+    /// What the dataset shows: the samples as heights or as colors, or the normals of the ground whose
+    /// heights they are [default: height for one band, color for three or four].
     #[arg(long, value_enum)]
     kind: Option<KindArg>,
 
@@ -194,9 +195,6 @@ impl Args {
         if self.grid == GridArg::Split && self.pixel_size_m.is_some() {
             let reason = "--grid split keeps the raster's own pixels: leave out --pixel-size-m";
             return Err(Failure::Misused(reason.to_owned()));
-        }
-        if matches!(self.kind, Some(KindArg::Normal)) {
-            return Err(Failure::Misused("--kind normal is not supported yet".to_owned()));
         }
         let own_grid = self.grid == GridArg::Native && self.pixel_size_m.is_none();
         if self.kernel.is_some() && own_grid {

@@ -13,6 +13,7 @@ mod laws {
     mod analytic;
     mod bytes;
     mod nodata;
+    mod normals;
     mod pages;
     mod planets;
     mod registration;

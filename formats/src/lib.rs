@@ -10,6 +10,8 @@ pub mod body;
 
 pub mod geodesy;
 
+pub mod normal;
+
 pub mod projection;
 
 pub mod address;

@@ -15,7 +15,7 @@ pub enum Kind {
     Height,
     /// sRGB codes.
     Color,
-    /// Surface normals.
+    /// Surface normals, as the codes of [`normal`](crate::normal).
     Normal,
 }
 
@@ -45,7 +45,7 @@ impl Kind {
 pub enum Texels {
     /// Meters above the reference surface; NaN where there is no data.
     Height(Vec<f32>),
-    /// sRGB codes; black where there is no data.
+    /// sRGB codes, or those of normals; 0 where there is no data.
     Color(Vec<[u8; 3]>),
 }
 
@@ -63,7 +63,7 @@ pub struct Page {
 /// A value read from a page, and how the page covers the place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reconstruction {
-    /// Meters, or sRGB codes; a height uses the first number alone.
+    /// Meters, or codes; a height uses the first number alone.
     pub value: [f64; 3],
     /// Weight of the valid taps, 0 to 1: 1 where the bound of the page speaks.
     pub valid_weight: f64,

@@ -40,6 +40,8 @@ pub mod mosaic;
 pub mod estimate;
 pub mod resample;
 
+pub mod normals;
+
 pub mod ingest;
 
 pub mod verify;

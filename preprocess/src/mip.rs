@@ -6,10 +6,9 @@
 //! theirs. Children past the outline do not exist and do not count.
 
 use areoid_formats::bound::Span;
-use areoid_formats::codec::Quantum;
 use areoid_formats::lanes::{self, greatest, least};
 
-use crate::texel::Texel;
+use crate::texel::{Mean, Texel};
 use crate::tile::{Tile, nothing};
 
 /// Whether the finest texels under each texel are kept: only bounds beside holes need them.
@@ -32,7 +31,7 @@ pub fn parent<S: Texel>(
     side: usize,
     size: (usize, usize),
     children: &[PlacedTile<'_, S>],
-    quantum: Quantum,
+    mean: Mean,
     spans: Spans,
 ) -> Option<Tile<S>> {
     if children.is_empty() {
@@ -51,7 +50,7 @@ pub fn parent<S: Texel>(
     for ((down, right), child) in children {
         for child_row in (0..child.rows).step_by(2) {
             let to = tile.at(down * half + child_row / 2, right * half);
-            halve_row(&mut tile, to, child, child_row, quantum);
+            halve_row(&mut tile, to, child, child_row, mean);
         }
     }
     let Some(coverage) = &tile.coverage else { return Some(tile) };
@@ -68,19 +67,13 @@ pub fn parent<S: Texel>(
 }
 
 /// Two rows of a child into one of its parent, from `to` on.
-fn halve_row<S: Texel>(
-    parent: &mut Tile<S>,
-    to: usize,
-    child: &Tile<S>,
-    row: usize,
-    quantum: Quantum,
-) {
+fn halve_row<S: Texel>(parent: &mut Tile<S>, to: usize, child: &Tile<S>, row: usize, mean: Mean) {
     // Runs of columns that have all four texels go together; what is left one by one.
     let pairs = if row + 1 < child.rows { child.cols / 2 } else { 0 };
     let from = child.at(row, 0);
     match &child.coverage {
         None => {
-            halve_run(parent, to, child, (from, pairs), quantum);
+            halve_run(parent, to, child, (from, pairs), mean);
             if let Some(codes) = &mut parent.coverage {
                 codes[to..to + pairs].fill(u8::MAX);
             }
@@ -107,18 +100,18 @@ fn halve_row<S: Texel>(
                 match run[0] {
                     0 => {
                         let from = from + 2 * columns.start;
-                        halve_run(parent, to + columns.start, child, (from, run.len()), quantum);
+                        halve_run(parent, to + columns.start, child, (from, run.len()), mean);
                     }
                     4 => {}
                     _ => columns.for_each(|col| {
-                        one_texel(parent, to + col, child, (row, 2 * col), quantum);
+                        one_texel(parent, to + col, child, (row, 2 * col), mean);
                     }),
                 }
             }
         }
     }
     for col in (2 * pairs..child.cols).step_by(2) {
-        one_texel(parent, to + col / 2, child, (row, col), quantum);
+        one_texel(parent, to + col / 2, child, (row, col), mean);
     }
 }
 
@@ -129,13 +122,13 @@ fn halve_run<S: Texel>(
     to: usize,
     child: &Tile<S>,
     (from, pairs): (usize, usize),
-    quantum: Quantum,
+    mean: Mean,
 ) {
     let part = (from, child.side, 2 * pairs);
     for channel in 0..S::CHANNELS {
         let rows = two_rows(&child.planes[channel], part);
         let out = &mut parent.planes[channel][to..][..pairs];
-        lanes::vectorized(Halving { rows, quantum, out });
+        lanes::vectorized(Halving { rows, mean, out });
         if let Some(spans) = &mut parent.spans {
             let (low, high) = span_of(child, channel);
             let span = &mut spans[channel];
@@ -164,7 +157,7 @@ fn span_of<S: Texel>(tile: &Tile<S>, channel: usize) -> (&[S], &[S]) {
 /// [`Texel::halve`] in wide vectors.
 struct Halving<'a, S> {
     rows: [&'a [S]; 2],
-    quantum: Quantum,
+    mean: Mean,
     out: &'a mut [S],
 }
 
@@ -173,7 +166,7 @@ impl<S: Texel> lanes::Wide for Halving<'_, S> {
 
     #[inline(always)]
     fn run(self) {
-        S::halve(self.rows, self.quantum, self.out);
+        S::halve(self.rows, self.mean, self.out);
     }
 }
 
@@ -190,7 +183,7 @@ fn one_texel<S: Texel>(
     to: usize,
     child: &Tile<S>,
     (row, col): (usize, usize),
-    quantum: Quantum,
+    mean: Mean,
 ) {
     let mut places = [0; 4];
     let mut count = 0;
@@ -220,7 +213,7 @@ fn one_texel<S: Texel>(
             greatest = if high[at] > greatest { high[at] } else { greatest };
         }
         if valid_count > 0 {
-            parent.planes[channel][to] = S::mean(&valid[..valid_count], quantum);
+            parent.planes[channel][to] = S::mean(&valid[..valid_count], mean);
         }
         if let Some(spans) = &mut parent.spans {
             let Span { least: low, greatest: high } = &mut spans[channel];

@@ -1,5 +1,7 @@
-//! Where the leaves of an ingest come from: rasters, as they are or resampled.
+//! Where the leaves of an ingest come from: rasters, as they are or resampled, or what is derived from
+//! either.
 
+use std::fmt::Debug;
 use std::sync::Arc;
 
 use areoid_formats::address::PageAddress;
@@ -9,7 +11,7 @@ use crate::build::Leaves;
 use crate::once::Overflow;
 
 /// Leaves made of rasters, on a grid of their own.
-pub trait Origin: Leaves + Send {
+pub trait Origin: Leaves + Send + Debug {
     /// The grid of the leaves.
     fn grid(&self) -> &Grid;
 

@@ -26,7 +26,7 @@ use crate::note::{Note, NotedValidity};
 use crate::raster::RasterError;
 use crate::schedule::Step;
 use crate::scratch::{Scratch, Slot};
-use crate::texel::Texel;
+use crate::texel::{Mean, Texel};
 use crate::tile::{Closed, Raw, Tile};
 use crate::whole::{self, Payloads, Whole, WholeChild};
 
@@ -288,7 +288,7 @@ impl<'a, S: Texel> Shop<'a, S> {
                     .collect();
                 let (rows, cols) = pyramid.interior_size(page);
                 let (side, size) = (pyramid.page_side() as usize, (rows as usize, cols as usize));
-                mip::parent(side, size, &children, self.description.quantum, self.spans)
+                mip::parent(side, size, &children, Mean::of(self.description), self.spans)
             })
             .collect();
         for (&page, tile) in parents.iter().zip(settled) {

@@ -11,7 +11,7 @@ use crate::support::areoid::{assert_verified, ingest, only_archive};
 use crate::support::geotiff::{Samples, Writing};
 use crate::support::lawful::assert_levels_lawful;
 use crate::support::levels::{Edge, Shape};
-use crate::support::raster::{Place, Random, Raster};
+use crate::support::raster::{Codes, Place, Random, Raster};
 
 const GLOBE: Place = Place::Globe(Edge::PoleOnOutline, Edge::PoleOnOutline);
 
@@ -55,7 +55,7 @@ fn leaves(archive: &Archive, step: Option<(f64, f64)>) -> Raster {
     }
     let (origin, pixel_size) = (description.grid.origin(), description.grid.pixel_size());
     let outline = Outline { origin, pixel_size, width: extent.width, height: extent.height };
-    Raster { shape, outline, planes, step }
+    Raster { shape, outline, planes, step, codes: Codes::Colors }
 }
 
 /// Ingests a raster onto other grids, and holds every one against the laws; returns the archives.

@@ -2,7 +2,7 @@
 
 use crate::support::lawful::assert_lawful;
 use crate::support::levels::Edge;
-use crate::support::raster::{Place, Random, Raster};
+use crate::support::raster::{Codes, Place, Random, Raster};
 
 const METERS: Option<(f64, f64)> = Some((1.0, 0.0));
 const AREAS: Place = Place::Globe(Edge::PoleOnOutline, Edge::PoleOnOutline);
@@ -77,6 +77,24 @@ fn colors() {
         let derived = |code: fn(f32) -> f32| red.iter().map(|&red| code(red)).collect();
         raster.planes.push(derived(|red| 255.0 - red));
         raster.planes.push(derived(|red| (red / 16.0).floor() * 16.0));
+        assert_lawful(&raster.archive(18), &raster);
+    }
+}
+
+/// Codes of normals are averaged as they are.
+#[test]
+fn normals() {
+    for (place, size) in [(Place::Region, (61, 83)), (AREAS, (64, 128)), (POSTS, (65, 64))] {
+        let mut random = Random(4);
+        let mut raster = Raster::new(place, size, None, |row, col| {
+            let hole = (row / 9 + col / 7) % 5 == 0;
+            if hole { f32::NAN } else { (1.0 + random.unit() * 254.0).round() as f32 }
+        });
+        let x = raster.planes[0].clone();
+        let derived = |code: fn(f32) -> f32| x.iter().map(|&x| code(x)).collect();
+        raster.planes.push(derived(|x| 256.0 - x));
+        raster.planes.push(derived(|x| if x < 128.0 { 1.0 } else { 255.0 }));
+        raster.codes = Codes::Normals;
         assert_lawful(&raster.archive(18), &raster);
     }
 }

@@ -4,7 +4,7 @@
 //! Levels are counted in *halvings*: 0 is the finest. A level of k halvings has texels of 2^k
 //! finest texels. Whatever is asked outside a level is its extension.
 
-use super::raster::Raster;
+use super::raster::{Codes, Raster};
 
 /// What lies past an edge of a level.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,6 +42,7 @@ pub(crate) struct Level {
 pub(crate) struct Levels {
     pub(crate) shape: Shape,
     step: Option<(f64, f64)>,
+    codes: Codes,
     levels: Vec<Level>,
 }
 
@@ -59,7 +60,7 @@ impl Levels {
         let mut finest =
             Level { width: shape.width, height: shape.height, planes, coverage: Vec::new() };
         finest.coverage = feather(shape, &finest.planes[0]);
-        let mut made = Self { shape, step: raster.step, levels: vec![finest] };
+        let mut made = Self { shape, step: raster.step, codes: raster.codes, levels: vec![finest] };
         for _ in 0..halvings {
             let coarser = made.halved(made.levels.last().unwrap());
             made.levels.push(coarser);
@@ -112,6 +113,9 @@ impl Levels {
         if channels == 1 {
             let mean = valid.iter().sum::<f64>() / count;
             return self.step.map_or(mean as f32, |step| on_step(mean, step));
+        }
+        if self.codes == Codes::Normals {
+            return (valid.iter().sum::<f64>() / count).round_ties_even() as f32;
         }
         let light = valid.iter().map(|&code| light_of_code(code)).sum::<f64>() / count;
         code_of_light(light).round() as f32

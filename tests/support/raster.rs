@@ -29,6 +29,15 @@ pub(crate) struct Raster {
     pub(crate) planes: Vec<Vec<f32>>,
     /// Step and offset that heights are stored on.
     pub(crate) step: Option<(f64, f64)>,
+    /// What three planes are.
+    pub(crate) codes: Codes,
+}
+
+/// What codes stand for, and so how they are averaged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Codes {
+    Colors,
+    Normals,
 }
 
 /// How a raster lies on the globe, without its size.
@@ -56,7 +65,7 @@ impl Raster {
             Place::Globe(north, south) => (true, north, south),
         };
         let shape = Shape { width: cols, height: rows, wraps, north, south };
-        Self { shape, outline: outline(shape), planes: vec![plane], step }
+        Self { shape, outline: outline(shape), planes: vec![plane], step, codes: Codes::Colors }
     }
 
     /// The grid, or why there is none.
@@ -71,7 +80,11 @@ impl Raster {
     }
 
     pub(crate) fn archive_bytes(&self, page_side: u32) -> Vec<u8> {
-        let kind = if self.planes.len() == 1 { Kind::Height } else { Kind::Color };
+        let kind = match (self.planes.len(), self.codes) {
+            (1, _) => Kind::Height,
+            (_, Codes::Colors) => Kind::Color,
+            (_, Codes::Normals) => Kind::Normal,
+        };
         let quantum =
             self.step.map_or(Quantum::NONE, |(step, offset)| Quantum::new(step, offset).unwrap());
         let description = Description {

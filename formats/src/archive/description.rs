@@ -24,7 +24,7 @@ pub struct Description {
     pub body: Body,
     /// Projection, origin, size and page side.
     pub grid: Grid,
-    /// The step its heights are stored on; [`Quantum::NONE`] for colors.
+    /// The step its heights are stored on; [`Quantum::NONE`] for colors and normals.
     pub quantum: Quantum,
     /// Higher covers lower in a composition.
     pub priority: i32,
@@ -157,9 +157,6 @@ impl Description {
         }
         let Quantum { step, offset } = description.quantum;
         Quantum::new(step, offset).map_err(|error| invalid(error.to_string()))?;
-        if description.kind == Kind::Normal {
-            return Err(invalid("normals are not supported yet".to_owned()));
-        }
         Ok(description)
     }
 }

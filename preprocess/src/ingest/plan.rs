@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, Read};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -10,7 +11,7 @@ use areoid_formats::body::Body;
 use areoid_formats::catalog::{Catalog, CatalogError};
 use areoid_formats::codec::Quantum;
 use areoid_formats::geodesy::LatitudeKind;
-use areoid_formats::grid::Placement;
+use areoid_formats::grid::{Grid, Placement};
 use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
 use xxhash_rust::xxh3::Xxh3;
@@ -19,6 +20,7 @@ use super::UNIT_PAGES;
 use super::request::{Event, IngestError, Reading, Request, TargetGrid, Watch, tell};
 use crate::feather::FEATHER_TEXELS;
 use crate::mosaic::{Layout, Mosaic, MosaicError};
+use crate::normals::Normals;
 use crate::origin::Origin;
 use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
 use crate::resample::kernel::RangeLimit;
@@ -26,7 +28,7 @@ use crate::resample::target::{Split, TargetMap, TargetRequest, split, target_gri
 use crate::resample::transform::Precision;
 use crate::resample::truth::SourcePixels;
 use crate::resample::{self, Resampler};
-use crate::truth::Truth;
+use crate::truth::{OnTexels, Truth};
 
 /// What becomes of the rasters.
 pub(super) struct Plan {
@@ -60,9 +62,6 @@ pub(super) fn plan(
     }
     let first = rasters.first().ok_or(MosaicError::Empty)?.info().clone();
     let kind = match (request.kind, first.bands) {
-        (Some(Kind::Normal), _) => {
-            return Err(IngestError::Request("--kind normal is not supported yet".to_owned()));
-        }
         (Some(kind), _) => kind,
         (None, 1 | 2) => Kind::Height,
         (None, _) => Kind::Color,
@@ -70,8 +69,10 @@ pub(super) fn plan(
     let called = match &request.name {
         Some(name) => name.clone(),
         None => {
-            let stem = first.path.file_stem().and_then(|stem| stem.to_str());
-            stem.unwrap_or_default().to_owned()
+            let stem = first.path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+            // The heights that normals are made of come from the same file.
+            let what = if kind == Kind::Normal { ".normal" } else { "" };
+            format!("{stem}{what}")
         }
     };
     let layout = Layout::new(rasters, crs)?;
@@ -115,7 +116,8 @@ pub(super) fn plan(
 /// What part of a group some leaves are, whether they are resampled, and where they come from.
 type PartFrom = (&'static str, bool, Box<dyn Origin>);
 
-/// Where the leaves of each part come from, the rasters as they are or resampled.
+/// Where the leaves of each part come from, the rasters as they are or resampled, or the normals of
+/// either.
 fn origins(
     request: &Request,
     layout: Layout,
@@ -127,8 +129,7 @@ fn origins(
     let map = match request.grid {
         TargetGrid::One(TargetMap::Native) if request.pixel_size.is_none() => {
             let rows = 0..placement.height;
-            let origin = Mosaic::of_rows(&layout, rows, kind, request.page_side)?;
-            return Ok(vec![("", false, Box::new(origin))]);
+            return Ok(vec![("", false, native(&layout, rows, kind, request.page_side)?)]);
         }
         TargetGrid::One(map) => map,
         TargetGrid::Split if request.pixel_size.is_some() => {
@@ -137,19 +138,46 @@ fn origins(
         }
         TargetGrid::Split => {
             let Split { rows, north, south } = split(&placement, request.page_side)?;
-            let band = Mosaic::of_rows(&layout, rows, kind, request.page_side)?;
-            let cap = |grid| Resampler::new(grid, layout.clone(), placement, kind, resampling);
+            let cap = |grid| resampled(grid, layout.clone(), placement, kind, resampling);
             return Ok(vec![
-                ("band", false, Box::new(band)),
-                ("north", true, Box::new(cap(north)?)),
-                ("south", true, Box::new(cap(south)?)),
+                ("band", false, native(&layout, rows, kind, request.page_side)?),
+                ("north", true, cap(north)?),
+                ("south", true, cap(south)?),
             ]);
         }
     };
     let (pixel_size, page_side) = (request.pixel_size, request.page_side);
     let grid = target_grid(&[placement], TargetRequest { map, pixel_size, page_side })?;
-    let resampler = Resampler::new(grid, layout, placement, kind, resampling)?;
-    Ok(vec![("", true, Box::new(resampler))])
+    Ok(vec![("", true, resampled(grid, layout, placement, kind, resampling)?)])
+}
+
+/// Leaves on the rasters' own grid.
+fn native(
+    layout: &Layout,
+    rows: Range<u32>,
+    kind: Kind,
+    page_side: u32,
+) -> Result<Box<dyn Origin>, IngestError> {
+    if kind == Kind::Normal {
+        let heights = Mosaic::of_rows(layout, rows, Kind::Height, page_side)?;
+        return Ok(Box::new(Normals::new(Box::new(heights))));
+    }
+    Ok(Box::new(Mosaic::of_rows(layout, rows, kind, page_side)?))
+}
+
+/// Leaves on another.
+fn resampled(
+    grid: Grid,
+    layout: Layout,
+    placement: Placement,
+    kind: Kind,
+    resampling: resample::Resampling,
+) -> Result<Box<dyn Origin>, IngestError> {
+    if kind == Kind::Normal {
+        let heights = Resampler::new(grid, layout, placement, Kind::Height, resampling)?;
+        return Ok(Box::new(Normals::new(Box::new(heights.unrounded()))));
+    }
+    Ok(Box::new(Resampler::new(grid, layout, placement, kind, resampling)?))
 }
 
 /// The rasters of a dataset, what they are projected by, and the body they show.
@@ -265,7 +293,7 @@ fn read_chunk(file: &mut File, chunk: &mut Vec<u8>) -> io::Result<usize> {
     file.take(2 << 20).read_to_end(chunk)
 }
 
-/// Opens the rasters that `archive` was made from, as it was made from them.
+/// Opens the rasters that `archive` was made from, as it was made from them: its leaves once more.
 ///
 /// # Errors
 ///
@@ -287,13 +315,17 @@ pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Box<dyn Truth>, In
     let (grid, kind) = (&description.grid, description.kind);
     let layout = Layout::new(rasters, crs)?;
     let (on_grid, truth): (bool, Box<dyn Truth>) = if description.resampling.is_some() {
+        if kind == Kind::Normal {
+            let reason = "normals of resampled heights have no pixels to be held against";
+            return Err(IngestError::Request(reason.to_owned()));
+        }
         let placement = layout.placement()?;
         let pixels = SourcePixels::new(grid.clone(), &layout, placement, kind)?;
         (pixels.are_on_grid(), Box::new(pixels))
     } else {
         let rows = layout.rows_of(grid);
-        let mosaic = Mosaic::of_rows(&layout, rows, kind, grid.pyramid().page_side())?;
-        (mosaic.grid() == grid, Box::new(mosaic))
+        let origin = native(&layout, rows, kind, grid.pyramid().page_side())?;
+        (origin.grid() == grid, Box::new(OnTexels::new(origin)))
     };
     if !on_grid {
         let dataset = &description.dataset;

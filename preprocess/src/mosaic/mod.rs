@@ -6,7 +6,6 @@
 
 mod layout;
 mod leaf;
-mod truth;
 
 pub use self::layout::{Layout, MosaicError, Placed};
 

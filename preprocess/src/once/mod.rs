@@ -174,7 +174,8 @@ impl<T: Parcel> OnceCache<T> {
         Ok(parcel)
     }
 
-    /// Ends one announced use; the last one drops the parcel.
+    /// Ends one announced use; the last one drops the parcel. True if that was the last, and the
+    /// parcel never was.
     ///
     /// A use may end without the parcel having been asked for. Ends beyond those announced do
     /// nothing.
@@ -182,16 +183,20 @@ impl<T: Parcel> OnceCache<T> {
     /// # Panics
     ///
     /// If there is no such parcel.
-    pub fn release(&self, col: u32, row: u32) {
+    pub fn release(&self, col: u32, row: u32) -> bool {
         let mut slot = self.slot(self.index(col, row));
-        slot.uses_left = slot.uses_left.saturating_sub(1);
-        if slot.uses_left > 0 {
-            return;
+        if slot.uses_left != 1 {
+            slot.uses_left = slot.uses_left.saturating_sub(1);
+            return false;
         }
+        slot.uses_left = 0;
         if let Some(stamp) = slot.stamp.take() {
             self.seen().order.remove(&stamp);
         }
-        self.free(std::mem::replace(&mut slot.kept, Kept::Nothing));
+        let kept = std::mem::replace(&mut slot.kept, Kept::Nothing);
+        let never_was = matches!(kept, Kept::Nothing);
+        self.free(kept);
+        never_was
     }
 
     /// How often a parcel was made: at most once each, if all uses were announced.

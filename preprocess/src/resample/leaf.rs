@@ -6,13 +6,13 @@ use areoid_formats::address::PageAddress;
 use areoid_formats::page::Kind;
 use areoid_formats::pyramid::PoleContact;
 
-use super::Resampler;
 use super::error;
 use super::kernel::{Sampled, Scratch};
 use super::needs::PreparedAt;
 use super::source::Source as _;
 use super::tile::{Coords, TargetTile};
 use super::window::Window;
+use super::{Heights, Resampler};
 use crate::build::Leaves;
 use crate::raster::RasterError;
 use crate::texel::Planes;
@@ -80,7 +80,7 @@ impl Leaves for Resampler {
     }
 
     fn is_whole(&self) -> bool {
-        self.rasters.is_whole()
+        self.heights == Heights::Rounded && self.rasters.is_whole()
     }
 }
 

@@ -72,6 +72,14 @@ pub struct Resampler {
     layout: Layout,
     rasters: Arc<Rasters>,
     prepared: PreparedSource,
+    heights: Heights,
+}
+
+/// What becomes of heights between whole meters, where the source has none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Heights {
+    Rounded,
+    AsTheyAre,
 }
 
 /// What of the pixels each leaf is made of, and held against: a function of grids alone.
@@ -102,7 +110,14 @@ impl Resampler {
         let back = Transform::new(&placement, &target, precision).ok_or(OtherBody)?;
         let plan = Plan { grid, resampling, transform, back };
         let (rasters, prepared) = plan.sources(&layout, kind, None);
-        Ok(Self { plan, layout, rasters, prepared })
+        Ok(Self { plan, layout, rasters, prepared, heights: Heights::Rounded })
+    }
+
+    /// The same with heights that are not rounded to whole meters where those of the rasters are: for
+    /// what is derived from them.
+    #[must_use]
+    pub fn unrounded(self) -> Self {
+        Self { heights: Heights::AsTheyAre, ..self }
     }
 
     /// How often a prepared tile was made, and how many there are.
@@ -180,7 +195,7 @@ impl Origin for Resampler {
             self.rasters.kind(),
             self.plan.resampling,
         );
-        Box::new(made.expect("the same bodies as before"))
+        Box::new(Self { heights: self.heights, ..made.expect("the same bodies as before") })
     }
 
     fn spill(&mut self, overflow: &Arc<Overflow>) {

@@ -1,11 +1,11 @@
-//! Colors: sRGB codes, averaged as light.
+//! Colors and normals: codes, those of colors averaged as light.
 
 use std::sync::LazyLock;
 
 use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::codec::{self, EncodeError, Quantum, Scratch};
 
-use super::{Planes, PlanesView, Texel};
+use super::{Mean, Planes, PlanesView, Texel};
 
 impl Texel for u8 {
     const CHANNELS: usize = 3;
@@ -15,7 +15,7 @@ impl Texel for u8 {
     fn channels(planes: Planes, _: Option<&[u8]>) -> Vec<Vec<Self>> {
         match planes {
             Planes::Color(planes) => planes.into(),
-            _ => panic!("a dataset of colors has leaves of colors"),
+            _ => panic!("a dataset of codes has leaves of codes"),
         }
     }
 
@@ -33,16 +33,33 @@ impl Texel for u8 {
         code
     }
 
-    fn mean(texels: &[Self], _: Quantum) -> Self {
+    fn mean(texels: &[Self], mean: Mean) -> Self {
+        let count = u32::try_from(texels.len()).expect("one to four");
+        if mean == Mean::OfNormals {
+            let sum: u32 = texels.iter().map(|&code| u32::from(code)).sum();
+            return Self::stored(f64::from(sum) / f64::from(count), Quantum::NONE);
+        }
         let light = &*LIGHT;
         let sum: u32 = texels.iter().map(|&code| light.linear[usize::from(code)]).sum();
-        let count = u32::try_from(texels.len()).expect("one to four");
         light.code(4 * sum / count)
     }
 
-    fn halve([upper, lower]: [&[Self]; 2], _: Quantum, out: &mut [Self]) {
-        let light = &*LIGHT;
+    #[inline(always)]
+    fn halve([upper, lower]: [&[Self]; 2], mean: Mean, out: &mut [Self]) {
         let pairs = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
+        if mean == Mean::OfNormals {
+            for (out, (&[a, b], &[c, d])) in out.iter_mut().zip(pairs) {
+                let [a, b, c, d] = [a, b, c, d].map(u16::from);
+                let sum = a + b + c + d;
+                // To the nearest quarter, and from between two to the even one.
+                #[expect(clippy::cast_possible_truncation, reason = "a mean lies between codes")]
+                {
+                    *out = ((sum + 1 + (sum >> 2 & 1)) >> 2) as Self;
+                }
+            }
+            return;
+        }
+        let light = &*LIGHT;
         for (out, (&[a, b], &[c, d])) in out.iter_mut().zip(pairs) {
             let [a, b, c, d] = [a, b, c, d].map(|code| light.linear[usize::from(code)]);
             *out = light.code(a + b + c + d);
@@ -115,7 +132,7 @@ pub(crate) fn code(light: f32) -> u8 {
 /// Light of a code from 0 to 255, from 0 to 1.
 fn light_of(code: f64) -> f64 {
     let encoded = code / 255.0;
-    if encoded <= 0.040_45 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
+    if encoded <= 0.040_45 { encoded / 12.92 } else { libm::pow((encoded + 0.055) / 1.055, 2.4) }
 }
 
 static LIGHT: LazyLock<Light> = LazyLock::new(|| {
@@ -144,14 +161,21 @@ mod tests {
     #[test]
     fn colors_are_averaged_in_linear_light() {
         // Half the light of white is code 188 in sRGB, not 128.
-        assert_eq!(u8::mean(&[0, 255], Quantum::NONE), 188);
-        assert_eq!(u8::mean(&[7; 3], Quantum::NONE), 7);
+        assert_eq!(u8::mean(&[0, 255], Mean::OfColors), 188);
+        assert_eq!(u8::mean(&[7; 3], Mean::OfColors), 7);
+    }
+
+    #[test]
+    fn normals_are_averaged_as_they_are() {
+        assert_eq!(u8::mean(&[1, 254], Mean::OfNormals), 128);
+        assert_eq!(u8::mean(&[2, 3], Mean::OfNormals), 2);
+        assert_eq!(u8::mean(&[1, 1, 2], Mean::OfNormals), 1);
     }
 
     #[test]
     fn every_code_comes_back_from_its_own_light() {
         for code in 0..=255 {
-            assert_eq!(u8::mean(&[code; 4], Quantum::NONE), code);
+            assert_eq!(u8::mean(&[code; 4], Mean::OfColors), code);
             assert_eq!(super::code(light(code)), code);
         }
     }
@@ -160,7 +184,7 @@ mod tests {
         #[test]
         fn a_code_is_the_nearest_to_the_mean_light(codes: [u8; 4]) {
             let mean = codes.iter().map(|&code| light_of(code.into())).sum::<f64>() / 4.0;
-            let code = f64::from(u8::mean(&codes, Quantum::NONE));
+            let code = f64::from(u8::mean(&codes, Mean::OfColors));
             // Lights are rounded to units, and so are the steps between codes.
             let slack = 1.5 / f64::from(WHITE);
             prop_assert!(code == 0.0 || light_of(code - 0.5) <= mean + slack);
@@ -169,12 +193,14 @@ mod tests {
 
         #[test]
         fn a_row_has_the_codes_of_its_texels(upper: [u8; 8], lower: [u8; 8]) {
-            let mut halved = [0; 4];
-            u8::halve([&upper, &lower], Quantum::NONE, &mut halved);
-            for (col, code) in halved.into_iter().enumerate() {
-                let [a, b] = [2 * col, 2 * col + 1];
-                let mean = u8::mean(&[upper[a], upper[b], lower[a], lower[b]], Quantum::NONE);
-                prop_assert_eq!(code, mean);
+            for mean in [Mean::OfColors, Mean::OfNormals] {
+                let mut halved = [0; 4];
+                u8::halve([&upper, &lower], mean, &mut halved);
+                for (col, code) in halved.into_iter().enumerate() {
+                    let [a, b] = [2 * col, 2 * col + 1];
+                    let one = u8::mean(&[upper[a], upper[b], lower[a], lower[b]], mean);
+                    prop_assert_eq!(code, one);
+                }
             }
         }
     }

@@ -4,7 +4,7 @@ use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::codec::{self, EncodeError, Quantum, Scratch};
 use areoid_formats::lanes;
 
-use super::{Planes, PlanesView, Texel};
+use super::{Mean, Planes, PlanesView, Texel};
 
 impl Texel for f32 {
     const CHANNELS: usize = 1;
@@ -48,13 +48,14 @@ impl Texel for f32 {
         quantum.round(value).expect("a mean of stored texels can be stored")
     }
 
-    fn mean(texels: &[Self], quantum: Quantum) -> Self {
+    fn mean(texels: &[Self], mean: Mean) -> Self {
         let sum: f64 = texels.iter().map(|&texel| f64::from(texel)).sum();
-        Self::stored(sum / texels.len() as f64, quantum)
+        Self::stored(sum / texels.len() as f64, mean.quantum())
     }
 
     #[inline(always)]
-    fn halve([upper, lower]: [&[Self]; 2], quantum: Quantum, out: &mut [Self]) {
+    fn halve([upper, lower]: [&[Self]; 2], mean: Mean, out: &mut [Self]) {
+        let quantum = mean.quantum();
         let pairs = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
         let sums = pairs
             .map(|(&[a, b], &[c, d])| [a, b, c, d].map(f64::from))

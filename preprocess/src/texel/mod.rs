@@ -1,5 +1,5 @@
 //! What pages are made of: `f32` heights, NaN where invalid, or `i16` heights in whole meters or `u8`
-//! color codes, 0 there.
+//! codes of colors and normals, 0 there.
 //!
 //! Everything from reading to writing is generic over the three, so that each runs at its own width.
 
@@ -12,6 +12,7 @@ pub(crate) use self::color::{code, light};
 use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::bound;
 use areoid_formats::codec::{EncodeError, Quantum, Scratch};
+use areoid_formats::page::Kind;
 
 /// A leaf's texels, one plane a channel.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,7 +21,7 @@ pub enum Planes {
     Height(Vec<f32>),
     /// Whole meters, 0 where invalid.
     WholeHeight(Vec<i16>),
-    /// Red, green and blue codes, 0 where invalid.
+    /// Red, green and blue codes, or those of a normal's x, y and z; 0 where invalid.
     Color([Vec<u8>; 3]),
 }
 
@@ -33,6 +34,37 @@ pub enum PlanesView<'a> {
     WholeHeight(&'a [i16]),
     /// Red, green and blue codes.
     Color([&'a [u8]; 3]),
+}
+
+/// How texels are averaged, and what their mean is stored on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Mean {
+    /// Heights, on a step or on none.
+    OfHeights(Quantum),
+    /// Colors as light, on whole codes.
+    OfColors,
+    /// Normals as their codes are, on whole ones.
+    OfNormals,
+}
+
+impl Mean {
+    /// That of a dataset.
+    #[must_use]
+    pub fn of(description: &Description) -> Self {
+        match description.kind {
+            Kind::Height => Self::OfHeights(description.quantum),
+            Kind::Color => Self::OfColors,
+            Kind::Normal => Self::OfNormals,
+        }
+    }
+
+    /// The step of heights, or none.
+    fn quantum(self) -> Quantum {
+        match self {
+            Self::OfHeights(quantum) => quantum,
+            Self::OfColors | Self::OfNormals => Quantum::NONE,
+        }
+    }
 }
 
 /// A texel of one channel.
@@ -62,16 +94,16 @@ pub trait Texel: bound::Texel<Cell: bytemuck::Pod> + bytemuck::Pod + std::fmt::D
     /// `None` if a texel cannot be stored.
     fn to_step(planes: &mut [Vec<Self>], quantum: Quantum) -> Option<Option<Vec<Vec<Self>>>>;
 
-    /// `value` as it is stored: on the step for heights, a whole code for colors. The value is a
+    /// `value` as it is stored: on the step for heights, else a whole code. The value is a
     /// mean of stored ones.
     fn stored(value: f64, quantum: Quantum) -> Self;
 
     /// The mean of one to four valid texels, as it is stored; summed in f64 from the first on, of
     /// colors the light.
-    fn mean(texels: &[Self], quantum: Quantum) -> Self;
+    fn mean(texels: &[Self], mean: Mean) -> Self;
 
     /// [`Self::mean`] of two by two texels, for each pair of columns of two rows.
-    fn halve(rows: [&[Self]; 2], quantum: Quantum, out: &mut [Self]);
+    fn halve(rows: [&[Self]; 2], mean: Mean, out: &mut [Self]);
 
     /// The texel of a page that has no other, as its entry stores it.
     fn constant(texels: &[Self]) -> ConstantTexel;
@@ -99,7 +131,7 @@ mod tests {
         /// The same as of floats.
         #[test]
         fn halved_rows_of_whole_heights_are_means(upper: [i16; 6], lower: [i16; 6]) {
-            let meters = Quantum::new(1.0, 0.0).unwrap();
+            let meters = Mean::OfHeights(Quantum::new(1.0, 0.0).unwrap());
             let mut halved = [0; 3];
             i16::halve([&upper, &lower], meters, &mut halved);
             for (col, texel) in halved.into_iter().enumerate() {
@@ -120,11 +152,12 @@ mod tests {
             let on_step = |row: [i16; 6]| row.map(|texel| f32::stored(f64::from(texel) / 8.0, quantum));
             let (upper, lower) = (on_step(upper), on_step(lower));
             let mut halved = [0.0; 3];
-            f32::halve([&upper, &lower], quantum, &mut halved);
+            let mean = Mean::OfHeights(quantum);
+            f32::halve([&upper, &lower], mean, &mut halved);
             for (col, texel) in halved.into_iter().enumerate() {
                 let [a, b] = [2 * col, 2 * col + 1];
-                let mean = f32::mean(&[upper[a], upper[b], lower[a], lower[b]], quantum);
-                prop_assert_eq!(texel.to_bits(), mean.to_bits());
+                let one = f32::mean(&[upper[a], upper[b], lower[a], lower[b]], mean);
+                prop_assert_eq!(texel.to_bits(), one.to_bits());
             }
         }
     }

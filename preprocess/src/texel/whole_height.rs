@@ -3,7 +3,7 @@
 use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::codec::{self, EncodeError, Quantum, Scratch};
 
-use super::{Planes, PlanesView, Texel};
+use super::{Mean, Planes, PlanesView, Texel};
 
 impl Texel for i16 {
     const CHANNELS: usize = 1;
@@ -31,13 +31,13 @@ impl Texel for i16 {
         height
     }
 
-    fn mean(texels: &[Self], quantum: Quantum) -> Self {
+    fn mean(texels: &[Self], mean: Mean) -> Self {
         let sum: f64 = texels.iter().map(|&texel| f64::from(texel)).sum();
-        Self::stored(sum / texels.len() as f64, quantum)
+        Self::stored(sum / texels.len() as f64, mean.quantum())
     }
 
     #[inline(always)]
-    fn halve([upper, lower]: [&[Self]; 2], _: Quantum, out: &mut [Self]) {
+    fn halve([upper, lower]: [&[Self]; 2], _: Mean, out: &mut [Self]) {
         let pairs = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
         for (out, (&[a, b], &[c, d])) in out.iter_mut().zip(pairs) {
             let sum = i32::from(a) + i32::from(b) + i32::from(c) + i32::from(d);

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use areoid_formats::address::PageAddress;
 use areoid_formats::archive::{ArchiveError, PageEntry};
-use areoid_formats::page::{Page, Texels};
+use areoid_formats::page::{Kind, Page, Texels};
 use areoid_formats::pyramid::Pyramid;
 
 use super::reader::Reader;
@@ -47,6 +47,9 @@ pub(super) fn check_page(
             ));
         }
     }
+    if reader.archive.description().kind == Kind::Normal && !all_say_something(&page) {
+        problems.push(format!("law 4: {name} has the code of no data in a valid normal"));
+    }
     if !matches_extension(reader, entry.page, &page)? {
         problems.push(format!("law 3: {name} is not its window of the extended level"));
     }
@@ -66,6 +69,13 @@ fn range(page: &Page, (rows, cols): (u32, u32)) -> (f32, f32) {
         }
     }
     range
+}
+
+/// Whether no valid texel has the code that normals keep for where there is none.
+fn all_say_something(page: &Page) -> bool {
+    let is_valid = |at: usize| page.coverage().is_none_or(|coverage| coverage[at] != 0);
+    let mut valid = (0..page.side() * page.side()).filter(|&at| is_valid(at));
+    valid.all(|at| texel(page, at).iter().all(|&code| code != 0.0))
 }
 
 /// The channels of a texel.

@@ -169,7 +169,9 @@ impl Pair {
         let across = difference(self.exact(row, col + 0.5), self.exact(row, col - 0.5));
         let down = difference(self.exact(row + 0.5, col), self.exact(row - 0.5, col));
         match (across, down) {
-            (Some(across), Some(down)) => [across.0.hypot(down.0), across.1.hypot(down.1)],
+            (Some(across), Some(down)) => {
+                [libm::hypot(across.0, down.0), libm::hypot(across.1, down.1)]
+            }
             _ => [1.0, 1.0],
         }
     }
@@ -180,8 +182,8 @@ impl Pair {
         let (row, col) = self.middle(tile);
         let Some(position) = self.position(row, col) else { return [1.0, 1.0] };
         let [[ex, ey], [nx, ny]] = self.source.crs.ground_jacobian(position);
-        let spacing_u = ex.hypot(nx) * self.source.pixel_size[0];
-        let spacing_v = ey.hypot(ny) * self.source.pixel_size[1];
+        let spacing_u = libm::hypot(ex, nx) * self.source.pixel_size[0];
+        let spacing_v = libm::hypot(ey, ny) * self.source.pixel_size[1];
         let coarser = spacing_u.max(spacing_v);
         // So many columns meet in the half row beside a pole.
         let most = self.source.period_px().map_or(f64::INFINITY, |period| period / PI);

@@ -85,8 +85,8 @@ impl PolarAngle {
             .map(|row| (row.clamp(0, height - 1) as f64 - self.pole[1]) * self.south_per_row);
         let south = [one.min(other), one.max(other)];
         let middle = [east, south].map(|[low, high]| low.midpoint(high));
-        let half = ((east[1] - east[0]) / 2.0).hypot((south[1] - south[0]) / 2.0);
-        Place { east, south, middle, radius: middle[0].hypot(middle[1]), half }
+        let half = libm::hypot((east[1] - east[0]) / 2.0, (south[1] - south[0]) / 2.0);
+        Place { east, south, middle, radius: libm::hypot(middle[0], middle[1]), half }
     }
 
     /// Whether a tile is so near the pole that it sees many columns.
@@ -120,7 +120,7 @@ impl PolarAngle {
             *south = (at.clamp(0, height - 1) as f64 - self.pole[1]) * self.south_per_row;
         }
         let [x, y] = place.middle;
-        let direction = x.atan2(y);
+        let direction = libm::atan2(x, y);
         let texels = Texels {
             east: &east[..tile.cols],
             south: &south[..tile.rows],
@@ -147,8 +147,8 @@ impl PolarAngle {
         let Place { east, south, middle: [x, y], radius, .. } = self.place(pair, tile);
         let nearest = |[low, high]: [f64; 2]| 0.0_f64.clamp(low, high);
         let farthest = |[low, high]: [f64; 2]| low.abs().max(high.abs());
-        let near = nearest(east).hypot(nearest(south));
-        let far = farthest(east).hypot(farthest(south));
+        let near = libm::hypot(nearest(east), nearest(south));
+        let far = libm::hypot(farthest(east), farthest(south));
         // What the target's map does not show is past its far end.
         let end = self.radial.far_row();
         let rows = [near, far].map(|radius| self.radial.row(pair, radius).unwrap_or(end));
@@ -159,11 +159,11 @@ impl PolarAngle {
             let half = pair.source.period_px().unwrap_or(0.0) / 2.0;
             (middle - half, middle + half)
         } else {
-            let column = self.column(pair, x.atan2(y));
+            let column = self.column(pair, libm::atan2(x, y));
             let (sine, cosine) = (x / radius, y / radius);
             let corners = [(0, 0), (0, 1), (1, 0), (1, 1)].map(|(i, j)| {
                 let (x, y) = (east[i], south[j]);
-                (x * cosine - y * sine).atan2(x * sine + y * cosine)
+                libm::atan2(x * cosine - y * sine, x * sine + y * cosine)
             });
             let least = corners.into_iter().fold(f64::INFINITY, f64::min);
             let most = corners.into_iter().fold(f64::NEG_INFINITY, f64::max);

@@ -43,7 +43,7 @@ impl PolarTables {
         let mid_row = f64::from(target.height / 2);
         let direction = |col: i64| {
             let longitude = pair.position(mid_row, pair.extended_col(col) as f64)?.longitude;
-            Some((longitude.0 - map.central_meridian.0).sin_cos())
+            Some(libm::sincos(longitude.0 - map.central_meridian.0))
         };
         let directions =
             (-1..=i64::from(target.width)).map(|col| direction(col).unwrap_or_default());

@@ -115,7 +115,7 @@ impl Radial {
         let mut nodes = [0.0; Polynomial::LONG];
         let mut rows = [0.0; Polynomial::LONG];
         for at in 0..count {
-            nodes[at] = (PI * (2 * at + 1) as f64 / (2 * count) as f64).cos();
+            nodes[at] = libm::cos(PI * (2 * at + 1) as f64 / (2 * count) as f64);
             rows[at] = self.row(pair, middle + half * nodes[at])?;
         }
         let coefficients = coefficients(&nodes[..count], rows);
@@ -139,16 +139,17 @@ impl Radial {
         let mut samples = [0.0; SAMPLES];
         for (at, sample) in samples.iter_mut().enumerate().skip(1) {
             let conformal = FRAC_PI_2 * at as f64 / SAMPLES as f64;
-            let radius = self.scale * (FRAC_PI_4 - conformal / 2.0).tan();
+            let radius = self.scale * libm::tan(FRAC_PI_4 - conformal / 2.0);
             let latitude = (equator - self.row(pair, radius)?) / self.rows_per_radian;
             *sample = self.lines.map.pole.sign() * latitude - conformal;
         }
         let mut terms = [0.0; TERMS];
         for (at, term) in (1..).zip(&mut terms) {
-            let waves = (1..SAMPLES)
-                .map(|sample| samples[sample] * (PI * (at * sample) as f64 / SAMPLES as f64).sin());
+            let waves = (1..SAMPLES).map(|sample| {
+                samples[sample] * libm::sin(PI * (at * sample) as f64 / SAMPLES as f64)
+            });
             let coefficient = 2.0 / SAMPLES as f64 * waves.sum::<f64>();
-            *term = coefficient.abs() * (2.0 * at as f64 * 3.0_f64.ln()).cosh();
+            *term = coefficient.abs() * libm::cosh(2.0 * at as f64 * libm::log(3.0_f64));
         }
         let all: f64 = terms.iter().sum();
         let last: f64 = terms[TERMS - 3..].iter().sum();
