@@ -136,5 +136,5 @@ fn distance(crs: &Crs, latitude: Radians) -> Result<f64, TargetError> {
     debug_assert!(latitude.0.abs() <= FRAC_PI_2);
     let point = crs.project(Geographic { latitude, ..Geographic::default() });
     let point = point.ok_or(GridError::OutsideProjection)?;
-    Ok(point.x.hypot(point.y))
+    Ok(libm::hypot(point.x, point.y))
 }
