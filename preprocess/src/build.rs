@@ -50,7 +50,7 @@ pub trait Leaves: Sync {
     /// Tells that `page` will not be read.
     fn skip(&self, _page: PageAddress) {}
 
-    /// The largest distance of R_L from the source's pixels at their centers in the interior of
+    /// The largest distance of `R_L` from the source's pixels at their centers in the interior of
     /// `page`, in meters or codes, not less than it is; `None` where leaves are those pixels until
     /// they are rounded to the step. Without a leaf nobody asks: it is empty, or not built again.
     ///

@@ -49,7 +49,7 @@ pub struct Tile<S> {
     pub range: (S, S),
 }
 
-/// A leaf whose border is closed: all that R_L is made of over its interior.
+/// A leaf whose border is closed: all that `R_L` is made of over its interior.
 #[derive(Clone, Copy, Debug)]
 pub struct Closed<'a> {
     /// Texels along a side, border included.

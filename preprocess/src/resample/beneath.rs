@@ -17,6 +17,10 @@ use super::source::Rect;
 use super::tile::{TILE, TargetTile};
 use super::transform::Transform;
 
+/// Pixels along a side of a square.
+#[expect(clippy::cast_possible_truncation, reason = "it is small")]
+const SIDE: u32 = TILE as u32;
+
 /// Squares side by side that are read together at most.
 const BAND: u32 = 16;
 
@@ -77,21 +81,20 @@ impl Interior {
 /// leads from the pixels to the texels of the finest level of `pyramid`.
 pub(super) fn beneath(back: &Transform, pyramid: &Pyramid, leaf: PageAddress) -> Vec<Rect> {
     let Placement { width, height, .. } = *back.target();
-    let side = TILE as u32;
-    let size = [height, width].map(|length| length.div_ceil(side));
+    let size = [height, width].map(|length| length.div_ceil(SIDE));
     let mut search = Search { back, interior: Interior::of(pyramid, leaf), found: Vec::new() };
     search.look([0..size[0], 0..size[1]]);
     search.found.sort_unstable();
 
     let mut rects: Vec<Rect> = Vec::new();
     for [row, col] in search.found {
-        let [first, end] = [col * side, ((col + 1) * side).min(width)];
-        let rows = row * side..((row + 1) * side).min(height);
+        let [first, end] = [col * SIDE, ((col + 1) * SIDE).min(width)];
+        let rows = row * SIDE..((row + 1) * SIDE).min(height);
         match rects.last_mut() {
             Some(last)
                 if last.rows == rows
                     && last.cols.end == first
-                    && end - last.cols.start <= BAND * side =>
+                    && end - last.cols.start <= BAND * SIDE =>
             {
                 last.cols.end = end;
             }
@@ -113,7 +116,7 @@ impl Search<'_> {
     fn look(&mut self, [rows, cols]: [Range<u32>; 2]) {
         let Placement { width, height, .. } = *self.back.target();
         let span = |range: &Range<u32>, length: u32| {
-            let [start, end] = [range.start, range.end].map(|at| (at * TILE as u32).min(length));
+            let [start, end] = [range.start, range.end].map(|at| (at * SIDE).min(length));
             (i64::from(start), (end - start) as usize)
         };
         let ((row, rows_px), (col, cols_px)) = (span(&rows, height), span(&cols, width));

@@ -6,7 +6,7 @@
 //!
 //! # Precision
 //!
-//! A place is known to [`Transform::bound_px`], so that the error found may be too small by what R_L
+//! A place is known to [`Transform::bound_px`], so that the error found may be too small by what `R_L`
 //! changes over that: it is added.
 
 use std::cell::RefCell;
@@ -40,7 +40,7 @@ struct Room {
     alpha: Vec<u8>,
 }
 
-/// The largest |R_L - pixel| at the pixels' centers in `rects`, where all that R_L is made of is
+/// The largest |`R_L` - pixel| at the pixels' centers in `rects`, where all that `R_L` is made of is
 /// valid: meters, or codes of the channel that is off the most. Not less than it is.
 ///
 /// # Errors

@@ -126,10 +126,10 @@ fn runs(indices: Range<i64>, plain: u32, origin: impl Fn(i64) -> Pixel) -> Vec<R
     let (mut runs, start): (Vec<Run>, i64) = (Vec::new(), indices.start);
     let mut index = start;
     while index < indices.end {
-        let (next, at) = (origin(index), (index - start) as usize);
+        let (next, at) = (origin(index), count(start, index));
         if (0..i64::from(plain)).contains(&index) {
             let end = indices.end.min(i64::from(plain));
-            runs.push(Run { at, len: (end - index) as usize, first: next, backward: false });
+            runs.push(Run { at, len: count(index, end), first: next, backward: false });
             index = end;
             continue;
         }
@@ -149,6 +149,10 @@ fn runs(indices: Range<i64>, plain: u32, origin: impl Fn(i64) -> Pixel) -> Vec<R
         runs.push(Run { at, len: 1, first: next, backward: false });
     }
     runs
+}
+
+fn count(start: i64, end: i64) -> usize {
+    usize::try_from(end - start).expect("a range goes up")
 }
 
 fn narrow(index: i64) -> u32 {
