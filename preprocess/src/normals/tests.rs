@@ -26,6 +26,7 @@ impl Heights {
     fn new(grid: Grid, height: impl Fn(u32, u32) -> f64) -> Self {
         let Extent { width, height: rows, .. } = grid.pyramid().extent();
         let texels = (0..rows).flat_map(|row| (0..width).map(move |col| (row, col)));
+        #[expect(clippy::cast_possible_truncation, reason = "heights are f32")]
         let heights = texels.map(|(row, col)| height(row, col) as f32).collect();
         Self { grid, heights, read: Mutex::default(), skipped: Mutex::default() }
     }
