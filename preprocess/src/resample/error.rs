@@ -6,8 +6,8 @@
 //!
 //! # Precision
 //!
-//! A place is known to [`Transform::bound_px`], so that the error found may be too small by what `R_L`
-//! changes over that: it is added.
+//! A place is known to [`Transform::bound_px`], so that the error found may be too small by what
+//! `R_L` changes over that: it is added.
 
 use std::cell::RefCell;
 
@@ -40,8 +40,8 @@ struct Room {
     alpha: Vec<u8>,
 }
 
-/// The largest |`R_L` - pixel| at the pixels' centers in `rects`, where all that `R_L` is made of is
-/// valid: meters, or codes of the channel that is off the most. Not less than it is.
+/// The largest |`R_L` - pixel| at the pixels' centers in `rects`, where all that `R_L` is made of
+/// is valid: meters, or codes of the channel that is off the most. Not less than it is.
 ///
 /// # Errors
 ///
