@@ -113,3 +113,26 @@ fn floats_over_both_poles() {
     });
     check(&raster, Samples::Float32, None);
 }
+
+/// Resampled heights were rounded to the raster's whole meters first.
+#[test]
+fn heights_on_a_finer_step_keep_what_whole_meters_lose() {
+    let mut random = Random(33);
+    let raster = Raster::new(GLOBE, (32, 64), None, |_, _| (random.unit() * 900.0).round() as f32);
+    let folder = TempDir::new().unwrap();
+    let file =
+        Writing::of(&raster, Samples::Int16(-32768)).write(&raster, folder.path(), "raster.tif");
+    let catalog = folder.path().join("catalog");
+    let options = ["--grid", "polar-north", "--page-size", "18", "--step-m", "0.125"];
+    ingest(&catalog, &file, &options);
+    let archive = only_archive(&catalog);
+    let heights = archive.entries().unwrap().into_iter().flat_map(|entry| {
+        let page = archive.page(&entry).unwrap();
+        let Texels::Height(heights) = page.texels() else { panic!("{} is no height", entry.page) };
+        heights.clone()
+    });
+    let heights: Vec<f32> = heights.filter(|height| !height.is_nan()).collect();
+    assert!(heights.iter().all(|height| (height * 8.0).fract() == 0.0));
+    let between = heights.iter().filter(|height| height.fract() != 0.0).count();
+    assert!(between * 2 > heights.len(), "{between} of {}", heights.len());
+}

@@ -11,7 +11,7 @@ use areoid_formats::body::Body;
 use areoid_formats::catalog::{Catalog, CatalogError};
 use areoid_formats::codec::Quantum;
 use areoid_formats::geodesy::LatitudeKind;
-use areoid_formats::grid::{Grid, Placement};
+use areoid_formats::grid::Placement;
 use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
 use xxhash_rust::xxh3::Xxh3;
@@ -126,6 +126,14 @@ fn origins(
 ) -> Result<Vec<PartFrom>, IngestError> {
     let (kernel, limit, precision) = (request.kernel, request.limit, Precision::default());
     let resampling = resample::Resampling { kernel, limit, precision };
+    // Heights on a step of their own keep what whole meters lose.
+    let is_rounded = kind != Kind::Normal && request.step_m.is_none_or(|step| step == 0.0);
+    let resampled = |grid, layout| -> Result<Box<dyn Origin>, IngestError> {
+        let pixels = kind_of_pixels(kind);
+        let leaves = Resampler::new(grid, layout, placement, pixels, resampling)?;
+        let leaves = if is_rounded { leaves } else { leaves.unrounded() };
+        Ok(of_kind(kind, Box::new(leaves)))
+    };
     let map = match request.grid {
         TargetGrid::One(TargetMap::Native) if request.pixel_size.is_none() => {
             let rows = 0..placement.height;
@@ -138,7 +146,7 @@ fn origins(
         }
         TargetGrid::Split => {
             let Split { rows, north, south } = split(&placement, request.page_side)?;
-            let cap = |grid| resampled(grid, layout.clone(), placement, kind, resampling);
+            let cap = |grid| resampled(grid, layout.clone());
             return Ok(vec![
                 ("band", false, native(&layout, rows, kind, request.page_side)?),
                 ("north", true, cap(north)?),
@@ -148,7 +156,7 @@ fn origins(
     };
     let (pixel_size, page_side) = (request.pixel_size, request.page_side);
     let grid = target_grid(&[placement], TargetRequest { map, pixel_size, page_side })?;
-    Ok(vec![("", true, resampled(grid, layout, placement, kind, resampling)?)])
+    Ok(vec![("", true, resampled(grid, layout)?)])
 }
 
 /// Leaves on the rasters' own grid.
@@ -158,26 +166,18 @@ fn native(
     kind: Kind,
     page_side: u32,
 ) -> Result<Box<dyn Origin>, IngestError> {
-    if kind == Kind::Normal {
-        let heights = Mosaic::of_rows(layout, rows, Kind::Height, page_side)?;
-        return Ok(Box::new(Normals::new(Box::new(heights))));
-    }
-    Ok(Box::new(Mosaic::of_rows(layout, rows, kind, page_side)?))
+    let mosaic = Mosaic::of_rows(layout, rows, kind_of_pixels(kind), page_side)?;
+    Ok(of_kind(kind, Box::new(mosaic)))
 }
 
-/// Leaves on another.
-fn resampled(
-    grid: Grid,
-    layout: Layout,
-    placement: Placement,
-    kind: Kind,
-    resampling: resample::Resampling,
-) -> Result<Box<dyn Origin>, IngestError> {
-    if kind == Kind::Normal {
-        let heights = Resampler::new(grid, layout, placement, Kind::Height, resampling)?;
-        return Ok(Box::new(Normals::new(Box::new(heights.unrounded()))));
-    }
-    Ok(Box::new(Resampler::new(grid, layout, placement, kind, resampling)?))
+/// What the pixels are that a dataset is made of.
+fn kind_of_pixels(kind: Kind) -> Kind {
+    if kind == Kind::Normal { Kind::Height } else { kind }
+}
+
+/// Those leaves, or the normals of their heights.
+fn of_kind(kind: Kind, leaves: Box<dyn Origin>) -> Box<dyn Origin> {
+    if kind == Kind::Normal { Box::new(Normals::new(leaves)) } else { leaves }
 }
 
 /// The rasters of a dataset, what they are projected by, and the body they show.

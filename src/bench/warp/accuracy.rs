@@ -77,6 +77,7 @@ pub(super) fn measure(
 }
 
 /// A raster of waves, floating point.
+#[expect(clippy::cast_possible_truncation, reason = "rounded as it is stored")]
 fn write(
     path: &Path,
     (place, (width, height)): (Place, (u32, u32)),
