@@ -37,7 +37,9 @@ fn a_tiny_book_is_complete_and_names_who_is_absent() {
         assert_eq!(peer["found"], false, "{peer}");
     }
     let tables = fs::read_to_string(folder.path().join("ingest.md")).unwrap();
-    assert!(tables.contains("Absent, and not compared with: vips, lz4, gdal_translate."));
+    assert!(tables.contains(
+        "Absent, and not compared with: vips, lz4, gdal_translate, gdalwarp, python osgeo."
+    ));
 
     let rasters = array(&report, "/chapters/pairs");
     assert_eq!(rasters.len(), 4);

@@ -33,6 +33,10 @@ pub enum BuildError {
     /// The archive cannot be written.
     #[error("cannot write the archive")]
     Write(#[source] io::Error),
+    /// What was written does not reach the medium. It may never: whoever asks again is told that all
+    /// is well.
+    #[error("the archive does not reach the medium")]
+    Sync(#[source] io::Error),
     /// The scratch file cannot be written or read.
     #[error("cannot keep pages in the scratch file")]
     Scratch(#[source] io::Error),
@@ -51,7 +55,7 @@ impl BuildError {
         match self {
             Self::Raster(error) => matches!(error, RasterError::Io { .. }),
             Self::Write(_) | Self::Scratch(_) | Self::Interrupted => true,
-            Self::Step { .. } | Self::Encode { .. } | Self::NoData => false,
+            Self::Step { .. } | Self::Encode { .. } | Self::Sync(_) | Self::NoData => false,
         }
     }
 }

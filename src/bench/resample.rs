@@ -89,6 +89,8 @@ impl Args {
             let leaves: Result<Vec<(PageAddress, Option<Raw>)>, RasterError> =
                 step.read.par_iter().map(read).collect();
             for (page, raw) in leaves? {
+                // Nothing is held against the pixels here.
+                resampler.source_error(page, None)?;
                 let Some(raw) = raw else { continue };
                 let (rows, cols) = pyramid.interior_size(page);
                 let [top, left] = [page.row, page.col].map(|at| (at * pyramid.interior()) as usize);

@@ -114,6 +114,18 @@ fn floats_over_both_poles() {
     check(&raster, Samples::Float32, None);
 }
 
+/// Without holes: beside those alpha is resampled, too, which the oracle has no word for.
+#[test]
+fn colors() {
+    let mut random = Random(33);
+    let mut raster =
+        Raster::new(GLOBE, (40, 80), None, |_, _| (random.unit() * 255.0).round() as f32);
+    let red = raster.planes[0].clone();
+    raster.planes.push(red.iter().map(|red| 255.0 - red).collect());
+    raster.planes.push(red.iter().map(|red| (red / 16.0).floor() * 16.0).collect());
+    check(&raster, Samples::Color, None);
+}
+
 /// Resampled heights were rounded to the raster's whole meters first.
 #[test]
 fn heights_on_a_finer_step_keep_what_whole_meters_lose() {

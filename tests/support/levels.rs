@@ -117,8 +117,7 @@ impl Levels {
         if self.codes == Codes::Normals {
             return (valid.iter().sum::<f64>() / count).round_ties_even() as f32;
         }
-        let light = valid.iter().map(|&code| light_of_code(code)).sum::<f64>() / count;
-        code_of_light(light).round() as f32
+        mean_of_colors(valid)
     }
 
     /// The texel at any row and column of the extended level.
@@ -204,14 +203,19 @@ pub(crate) fn on_step(value: f64, (step, offset): (f64, f64)) -> f32 {
     (((value - offset) / step).round_ties_even() * step + offset) as f32
 }
 
+/// The mean of codes in the whole numbers of FORMAT.md.
+fn mean_of_colors(codes: &[f64]) -> f32 {
+    let light = |code: f64, white: f64| (white * light_of_code(code)).round() as u64;
+    let white = f64::from((1 << 22) - 1);
+    let lights: u64 = codes.iter().map(|&code| light(code, white)).sum();
+    let sum = 4 * lights / codes.len() as u64;
+    let passed = (0..255_u16).filter(|&code| light(f64::from(code) + 0.5, 4.0 * white) <= sum);
+    passed.count() as f32
+}
+
 fn light_of_code(code: f64) -> f64 {
     let encoded = code / 255.0;
     if encoded <= 0.04045 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }
-}
-
-fn code_of_light(light: f64) -> f64 {
-    let low = 12.92 * light;
-    255.0 * if low <= 0.04045 { low } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
 }
 
 /// Coverage of the finest level: the distance in texels from a texel's center to the edge of the

@@ -2,7 +2,7 @@
 
 use std::io::{self, BufWriter, Write};
 use std::sync::Arc;
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::thread;
 
 use areoid_formats::archive::{Description, Written};
@@ -38,13 +38,25 @@ struct Buffered<'a, 'b> {
     sync: SyncSender<()>,
 }
 
+impl Buffered<'_, '_> {
+    /// Asks for a sync, or puts it off while one is waited for. An error if one failed: which, the
+    /// thread that waited says.
+    fn ask_to_sync(&mut self) -> io::Result<()> {
+        match self.sync.try_send(()) {
+            Ok(()) => self.unsynced = 0,
+            Err(TrySendError::Full(())) => {}
+            Err(TrySendError::Disconnected(())) => return Err(io::Error::other("a sync failed")),
+        }
+        Ok(())
+    }
+}
+
 impl Write for Buffered<'_, '_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let written = self.sink.write(bytes)?;
         self.unsynced += written;
-        // While one sync is waited for, the next is put off.
-        if self.unsynced >= SYNCED_TOGETHER && self.sync.try_send(()).is_ok() {
-            self.unsynced = 0;
+        if self.unsynced >= SYNCED_TOGETHER {
+            self.ask_to_sync()?;
         }
         Ok(written)
     }
@@ -57,6 +69,8 @@ impl Write for Buffered<'_, '_> {
 impl Site for Buffered<'_, '_> {
     fn note(&mut self, note: &[u8]) -> io::Result<()> {
         self.sink.flush()?;
+        // A note says that all is on the medium.
+        self.ask_to_sync()?;
         self.sink.get_mut().note(note).map_err(io::Error::other)
     }
 }
@@ -132,9 +146,8 @@ pub(super) fn write(
             Err(error) => Err(BuildError::Write(error.into_error())),
         });
         match synced.join() {
-            Ok(synced) => {
-                built.and_then(|written| synced.map(|()| written).map_err(BuildError::Write))
-            }
+            Ok(Ok(())) => built,
+            Ok(Err(error)) => Err(BuildError::Sync(error)),
             Err(panic) => std::panic::resume_unwind(panic),
         }
     });

@@ -86,7 +86,12 @@ impl Leaves for Resampler {
 
 impl Resampler {
     fn release(&self, named: &[PreparedAt]) {
-        named.iter().for_each(|tile| self.prepared.release(tile.col, tile.row));
+        for tile in named {
+            if self.prepared.release(tile.col, tile.row) {
+                let rects = self.prepared.reads(tile.col, tile.row);
+                rects.into_iter().for_each(|rect| self.rasters.pass(&rect));
+            }
+        }
     }
 
     /// The texels of a leaf; `None` if none can be valid.

@@ -58,7 +58,7 @@ pub enum RangeLimit {
     /// They may: kernels with negative lobes overshoot.
     #[default]
     None,
-    /// They are brought between the least and the greatest pixel under the kernel's taps.
+    /// They are brought between the least and the greatest pixel with data under the kernel's taps.
     Taps,
 }
 
@@ -180,7 +180,7 @@ impl Kernel {
                 stretched::sample(self, stretch, coords, view, scratch, plane);
             }
             if limit == RangeLimit::Taps {
-                let pixels = window.pixels(channel);
+                let pixels = (window.pixels(channel), window.alpha());
                 taps::limit(self.reach(footprint), &coords.u, &coords.v, pixels, plane);
             }
         }

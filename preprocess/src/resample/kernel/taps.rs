@@ -220,23 +220,36 @@ fn row<const LOAD: usize>(taps: &[f32], at: usize) -> &[f32; LOAD] {
 }
 
 /// Brings texels between the least and the greatest of the `2 * reach` pixels around them along
-/// columns and along rows.
+/// columns and along rows that have data: `alpha` stands beside the pixels, `None` where all have.
 ///
 /// # Panics
 ///
 /// If one lies outside the view.
-pub(super) fn limit(reach: [i64; 2], u: &[f64], v: &[f64], view: View<'_>, out: &mut [f32]) {
+pub(super) fn limit(
+    reach: [i64; 2],
+    u: &[f64],
+    v: &[f64],
+    (view, alpha): (View<'_>, Option<&[u8]>),
+    out: &mut [f32],
+) {
     let [cols, rows] = reach.map(|reach| usize::try_from(2 * reach).expect("not negative"));
     let [left, above] = reach.map(|reach| (1 - reach) as f64);
     for ((&u, &v), texel) in u.iter().zip(v).zip(out) {
         let first = view.index(u.floor() + left, v.floor() + above);
         let (mut least, mut greatest) = (f32::INFINITY, f32::NEG_INFINITY);
         for row in 0..rows {
-            for &pixel in &view.data[first + row * view.stride..][..cols] {
-                least = lanes::least(pixel, least);
-                greatest = lanes::greatest(pixel, greatest);
+            let line = first + row * view.stride..first + row * view.stride + cols;
+            let valid = alpha.map(|alpha| &alpha[line.clone()]);
+            for (at, &pixel) in view.data[line].iter().enumerate() {
+                if valid.is_none_or(|valid| valid[at] != 0) {
+                    least = lanes::least(pixel, least);
+                    greatest = lanes::greatest(pixel, greatest);
+                }
             }
         }
-        *texel = texel.clamp(least, greatest);
+        // Without a pixel the texel is none either.
+        if least <= greatest {
+            *texel = texel.clamp(least, greatest);
+        }
     }
 }

@@ -249,13 +249,14 @@ impl PreparedSource {
         })
     }
 
-    /// Ends one announced use of a tile, whether it was asked for or not.
+    /// Ends one announced use of a tile, whether it was asked for or not: true if that was the last
+    /// and the tile was never made, so that nothing of [`Self::reads`] was read for it.
     ///
     /// # Panics
     ///
     /// If there is no such tile.
-    pub fn release(&self, col: u32, row: u32) {
-        self.tiles.release(col, row);
+    pub fn release(&self, col: u32, row: u32) -> bool {
+        self.tiles.release(col, row)
     }
 
     fn make(&self, col: u32, row: u32) -> Result<Prepared, RasterError> {

@@ -1,7 +1,5 @@
 //! Both maps draw meridians and parallels as straight lines: columns from columns, rows from rows.
 
-use areoid_formats::geodesy::Geographic;
-
 use super::exact::{NOWHERE, Pair};
 use crate::resample::tile::{Coords, TILE, TargetTile};
 
@@ -18,10 +16,6 @@ pub(super) struct Cylindrical {
 impl Cylindrical {
     pub(super) fn new(pair: &Pair) -> Self {
         let (target, source) = (&pair.target, &pair.source);
-        // Columns are the same in all rows, but on a pole, where longitude says nothing.
-        let equator = target.crs.project(Geographic::default());
-        let equator = equator.expect("maps of straight meridians draw the equator");
-        let equator_row = (target.origin[1] - equator.y) / target.pixel_size[1] - 0.5;
         // Turns of longitude to a column; where both maps are one, the ratio of their pixels.
         let turns_per_col = target.crs.wraps_with_period().map(|turn| target.pixel_size[0] / turn);
         let cols_per_turn = source.crs.wraps_with_period().map(|turn| turn / source.pixel_size[0]);
@@ -34,7 +28,7 @@ impl Cylindrical {
             (pair.exact(row as f64, 0.0).map_or(NOWHERE, |(_, v)| v), turned)
         };
         Self {
-            start: pair.exact(equator_row, 0.0).map_or(NOWHERE, |(u, _)| u),
+            start: pair.exact(pair.equator_row(), 0.0).map_or(NOWHERE, |(u, _)| u),
             per_col,
             rows: (-1..=i64::from(target.height)).map(row).collect(),
         }

@@ -31,6 +31,18 @@ impl Pair {
         self.target.geographic_from_pixel(col, row)
     }
 
+    /// The row that shows the equator, of a target of straight meridians: columns are the same in all
+    /// rows, but on a pole longitude says nothing.
+    ///
+    /// # Panics
+    ///
+    /// If the target's map does not draw the equator.
+    pub(super) fn equator_row(&self) -> f64 {
+        let equator = self.target.crs.project(Geographic::default());
+        let equator = equator.expect("maps of straight meridians draw the equator");
+        (self.target.origin[1] - equator.y) / self.target.pixel_size[1] - 0.5
+    }
+
     pub(super) fn exact(&self, row: f64, col: f64) -> Option<(f64, f64)> {
         let shown = self.source.crs.project(self.position(row, col)?)?;
         Some(self.source.pixel_from_map(shown))

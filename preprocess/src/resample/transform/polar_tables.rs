@@ -40,9 +40,9 @@ impl PolarTables {
             (source.origin[1] - map.false_northing.0) / pixel_y - 0.5,
         ];
 
-        let mid_row = f64::from(target.height / 2);
+        let equator_row = pair.equator_row();
         let direction = |col: i64| {
-            let longitude = pair.position(mid_row, pair.extended_col(col) as f64)?.longitude;
+            let longitude = pair.position(equator_row, pair.extended_col(col) as f64)?.longitude;
             Some(libm::sincos(longitude.0 - map.central_meridian.0))
         };
         let directions =
