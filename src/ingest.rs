@@ -34,8 +34,9 @@ use crate::{info, output, resources};
 
 /// Turn rasters into a dataset of a catalog.
 ///
-/// The leaves of the dataset are the rasters' own pixels. Several rasters make a mosaic: a later
-/// one covers an earlier one where it has data.
+/// The leaves of the dataset are the rasters' own pixels, unless another grid, another pixel size or
+/// normals are asked for. Several rasters make a mosaic: a later one covers an earlier one where it
+/// has data.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Rasters: `GeoTIFF` or `BigTIFF`; JPEG or PNG with a world file.
