@@ -135,6 +135,24 @@ fn a_raster_of_nothing_but_nan_is_no_dataset() {
     bench.refuses_raster("nan.tif", &nan, &["nan", "no valid sample"]);
 }
 
+/// They were stored as constant pages of no number, and exit 0.
+#[test]
+fn heights_too_large_to_be_resampled_are_refused() {
+    let bench = Bench::new();
+    let large: Vec<f32> = (0..1600).map(|at| if at % 2 == 0 { 3e38 } else { -3e38 }).collect();
+    fs::write(bench.path("large.tif"), geotiff(40, &large, &GEOGRAPHIC)).unwrap();
+    for grid in ["equirectangular", "polar-north"] {
+        bench.refuses(&["large.tif", "--grid", grid], &["large.tif", "not finite"]);
+    }
+}
+
+#[test]
+fn texels_too_fine_to_be_counted_are_refused() {
+    let bench = Bench::new();
+    let options = ["good.tif", "--name", "x", "--pixel-size-m", "1e-9"];
+    bench.refuses(&options, &["texels in a row or column are too many"]);
+}
+
 #[test]
 fn a_raster_without_pixels_is_refused() {
     let bench = Bench::new();

@@ -47,7 +47,13 @@ impl Leaves for Resampler {
         }
         let canvas = ROOM.with_borrow_mut(|room| self.canvas(page, room));
         self.release(&named);
-        Ok(canvas?.and_then(|canvas| self.raw(page, canvas)))
+        let canvas = canvas?;
+        if canvas.as_ref().is_some_and(|canvas| !canvas.is_finite()) {
+            let found = "heights so large that what lies between them is not finite";
+            let supported = "heights up to a tenth of the largest 32-bit number";
+            return Err(RasterError::not_supported(self.rasters.path(), found, supported));
+        }
+        Ok(canvas.and_then(|canvas| self.raw(page, canvas)))
     }
 
     fn skip(&self, page: PageAddress) {
@@ -165,6 +171,12 @@ impl Resampler {
 }
 
 impl Canvas {
+    /// Whether all that is valid is finite.
+    fn is_finite(&self) -> bool {
+        let off = |(&value, &code): (&f32, &u8)| code != 0 && !value.is_finite();
+        !self.planes.iter().any(|plane| plane.iter().zip(&self.alpha).any(off))
+    }
+
     fn lay(&mut self, at: usize, tile: TargetTile, sampled: &Sampled) {
         let lines = |row: usize| {
             (

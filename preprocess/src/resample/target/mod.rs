@@ -58,6 +58,12 @@ pub enum TargetError {
     /// A size that texels cannot have.
     #[error("a texel of {0} m is not supported: expected a positive number")]
     PixelSize(f64),
+    /// More texels in a row or column than a grid can have.
+    #[error("{texels:e} texels in a row or column are too many: {} are the most", u32::MAX)]
+    TooFine {
+        /// How many there would be.
+        texels: f64,
+    },
     /// Sources that have no place on the map.
     #[error("the rasters show nothing of the hemisphere of the map")]
     NothingShown,
@@ -155,7 +161,7 @@ fn flat(crs: Crs, area: Area, pixel: f64, page_side: u32) -> Result<Grid, Target
 fn whole(pixels: f64) -> Result<u32, TargetError> {
     let up = (pixels - ROUNDING_PX).ceil().max(1.0);
     if up.is_nan() || up > f64::from(u32::MAX) {
-        return Err(GridError::PixelSize(pixels, pixels).into());
+        return Err(TargetError::TooFine { texels: pixels });
     }
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
     Ok(up as u32)
