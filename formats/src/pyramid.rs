@@ -349,21 +349,12 @@ impl Pyramid {
         if !own.is_empty() {
             straight_rows.extend(narrow(own.start) / interior..=narrow(own.end - 1) / interior);
         }
-        for past in [top..own.start, own.end..bottom] {
-            // Rows past an edge are those before it mirrored, or the last one again: what is between
-            // two of them lies between theirs, unless they go on to the other edge.
-            let step = if past.end - past.start < height { past.end - past.start - 1 } else { 1 };
-            for row in past.step_by(usize::try_from(step).unwrap_or(1).max(1)) {
-                let extended = self.extended_row(page.level, row);
-                let rows = if extended.turned { &mut turned_rows } else { &mut straight_rows };
-                rows.extend([extended.row / interior, extended.next / interior]);
-            }
+        for row in (top..own.start).chain(own.end..bottom) {
+            let extended = self.extended_row(page.level, row);
+            let rows = if extended.turned { &mut turned_rows } else { &mut straight_rows };
+            rows.extend([extended.row / interior, extended.next / interior]);
+            rows.dedup();
         }
-        let (straight_rows, turned_rows) = if bottom - top <= height {
-            (between(&straight_rows), between(&turned_rows))
-        } else {
-            (distinct(straight_rows), distinct(turned_rows))
-        };
 
         let mut pages = Vec::new();
         for (rows, turned) in [(straight_rows, false), (turned_rows, true)] {
@@ -371,7 +362,7 @@ impl Pyramid {
                 continue;
             }
             let cols = self.source_cols(page.level, span(page.col), turned);
-            for row in rows {
+            for row in distinct(rows) {
                 pages.extend(cols.iter().map(|&col| PageAddress::new(page.level, row, col)));
             }
         }
@@ -397,14 +388,6 @@ impl Pyramid {
             return straight.collect();
         }
         straight.chain(pages(0..start + length - width)).collect()
-    }
-}
-
-/// All numbers from the least to the greatest.
-fn between(numbers: &[u32]) -> Vec<u32> {
-    match (numbers.iter().min(), numbers.iter().max()) {
-        (Some(&least), Some(&greatest)) => (least..=greatest).collect(),
-        _ => Vec::new(),
     }
 }
 

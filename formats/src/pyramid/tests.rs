@@ -112,6 +112,18 @@ fn a_page_draws_on_its_neighbors_and_over_the_pole() {
     assert_eq!(corner.len(), 9);
 }
 
+/// A page whose surroundings reach across a level from edge to edge: what lies between two rows
+/// past an edge counts too.
+#[test]
+fn a_wide_halo_over_a_pole_passes_over_no_row() {
+    let extent = Extent { south: PoleContact::Posts, ..globe(2688, 344, PoleContact::None) };
+    let pyramid = Pyramid::new(extent, 38).unwrap();
+    let sources = pyramid.sources(PageAddress::new(Level(4), 2, 0), 29);
+    for col in 8..=11 {
+        assert!(sources.contains(&PageAddress::new(Level(4), 1, col)), "{sources:?}");
+    }
+}
+
 fn any_extent() -> impl Strategy<Value = Extent> {
     let contact =
         prop_oneof![Just(PoleContact::None), Just(PoleContact::Outline), Just(PoleContact::Posts)];
