@@ -16,7 +16,7 @@ use areoid_preprocess::feather::HALO;
 use areoid_preprocess::ingest::{self, Reading, UNIT_PAGES};
 use areoid_preprocess::mosaic::Layout;
 use areoid_preprocess::raster::RasterError;
-use areoid_preprocess::resample::kernel::RangeLimit;
+use areoid_preprocess::resample::kernel::{Kernel, RangeLimit};
 use areoid_preprocess::resample::transform::Precision;
 use areoid_preprocess::resample::{Resampler, Resampling};
 use areoid_preprocess::schedule::Schedule;
@@ -58,6 +58,10 @@ pub(super) struct Args {
     #[arg(long, default_value_t = 5)]
     spline_degree: u8,
 
+    /// Weights of Lanczos as others have them, not exact for ramps.
+    #[arg(long)]
+    plain: bool,
+
     /// Every place through the body, one by one.
     #[arg(long)]
     exact: bool,
@@ -70,8 +74,12 @@ impl Args {
         let (rasters, crs, _) = ingest::open(&[self.raster], &reading, None)?;
         let layout = Layout::new(rasters, crs)?;
         let placement = layout.placement()?;
+        let kernel = match self.kernel.kernel(self.spline_degree) {
+            Kernel::Lanczos if self.plain => Kernel::PlainLanczos,
+            kernel => kernel,
+        };
         let resampling = Resampling {
-            kernel: self.kernel.kernel(self.spline_degree),
+            kernel,
             limit: RangeLimit::None,
             precision: if self.exact { Precision::Exact } else { Precision::default() },
         };

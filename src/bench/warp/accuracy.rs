@@ -26,7 +26,7 @@ const POLE_DEG: f64 = 2.0;
 /// So near ±180° is at the antimeridian, in pixels of the source.
 const SEAM_PX: f64 = 8.0;
 
-/// Errors of a zone, in percent of the signal's strength.
+/// Errors of a zone, in percent of the signal's strength; the mean of no texels is NaN.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub(super) struct Errors {
     pub(super) rms: f64,
@@ -124,6 +124,7 @@ impl Truth {
     }
 
     fn errors(&self, samples: &[f32]) -> [Errors; ZONES.len()] {
+        assert_eq!(samples.len(), self.heights.len(), "as many samples as the target has texels");
         let mut found = [Errors::default(); ZONES.len()];
         for ((&height, &zone), &sample) in self.heights.iter().zip(&self.zones).zip(samples) {
             let Some(errors) = found.get_mut(usize::from(zone)) else { continue };
@@ -138,7 +139,7 @@ impl Truth {
             errors.max = errors.max.max(error);
         }
         for errors in &mut found {
-            errors.rms = (errors.rms / errors.texels.max(1) as f64).sqrt();
+            errors.rms = (errors.rms / errors.texels as f64).sqrt();
         }
         found
     }

@@ -32,10 +32,15 @@ pub(super) struct Way {
 }
 
 /// Kernels of this program; the last two are splines of degree 3 and 5.
-const OURS: [&str; 6] = ["nearest", "bilinear", "cubic", "lanczos", "spline 3", "spline 5"];
+const OURS: [&str; 7] =
+    ["nearest", "bilinear", "cubic", PLAIN_LANCZOS, "lanczos", "spline 3", "spline 5"];
 
-/// Kernels that GDAL has, too, but for its splines, which do not interpolate.
-pub(super) const SHARED: [&str; 3] = ["bilinear", "cubic", "lanczos"];
+/// The Lanczos that others have; the one without a word is exact for ramps, too.
+const PLAIN_LANCZOS: &str = "lanczos plain";
+
+/// GDAL's kernels, but for its splines, which do not interpolate, and the same ones of this program.
+pub(super) const SHARED: [(&str, &str); 3] =
+    [("bilinear", "bilinear"), ("cubic", "cubic"), ("lanczos", PLAIN_LANCZOS)];
 
 impl Way {
     pub(super) const fn new(program: Program, kernel: &'static str, places: Places) -> Self {
@@ -48,7 +53,9 @@ impl Way {
         let exact = ["cubic", "spline 5"].map(|k| Self::new(Program::Areoid, k, Places::Exact));
         let theirs = [Program::GdalWarp, Program::Python].into_iter().flat_map(|program| {
             let places = [Places::Own, Places::Exact].into_iter();
-            places.flat_map(move |places| SHARED.map(|kernel| Self::new(program, kernel, places)))
+            places.flat_map(move |places| {
+                SHARED.map(|(kernel, _)| Self::new(program, kernel, places))
+            })
         });
         ours.into_iter().chain(exact).chain(theirs).collect()
     }
@@ -107,8 +114,12 @@ impl Direction {
             let mut command = Command::new(&setting.areoid);
             command.args(["bench", "resample"]).arg(raster).arg("-o").arg(out);
             command.args(["--width", &width.to_string(), "--height", &height.to_string()]);
-            let (kernel, degree) = way.kernel.split_once(' ').unwrap_or((way.kernel, "5"));
-            command.args(["--kernel", kernel, "--spline-degree", degree]);
+            let mut words = way.kernel.split(' ');
+            command.arg("--kernel").args(words.next());
+            match words.next() {
+                Some("plain") => command.arg("--plain"),
+                degree => command.arg("--spline-degree").arg(degree.unwrap_or("5")),
+            };
             if let Place::North { radius_px } = place {
                 command.args(["--radius-px", &radius_px.to_string()]);
             }
