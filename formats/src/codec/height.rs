@@ -328,16 +328,15 @@ pub fn decode_heights_into(
     }
     let base = i32::from_le_bytes(reader.array("base")?);
 
-    texels.resize(side * side, 0.0);
+    texels.clear();
+    texels.reserve_exact(side * side);
     let Scratch { bytes, halves, words, shared, .. } = scratch;
     if form & WIDE == 0 {
-        image::read(&mut reader, side, halves, shared, |y, row| {
-            value(row, base, quantum, &mut texels[y * side..][..side]);
+        image::read(&mut reader, side, halves, shared, |_, row| {
+            append(row, base, quantum, texels)
         })?;
     } else {
-        image::read(&mut reader, side, words, shared, |y, row| {
-            value(row, base, quantum, &mut texels[y * side..][..side]);
-        })?;
+        image::read(&mut reader, side, words, shared, |_, row| append(row, base, quantum, texels))?;
     }
     coverage::read(Presence::from_form(form), &mut reader, side, bytes, shared, coverage)?;
     reader.finish()?;
@@ -355,16 +354,15 @@ pub fn decode_heights_into(
 
 /// Turns lanes into heights.
 #[inline(always)]
-fn value<L: Lane>(lanes: &[L], base: i32, quantum: Quantum, texels: &mut [f32]) {
-    let index = |lane: L| base.wrapping_add(lane.into().cast_signed());
-    let pairs = texels.iter_mut().zip(lanes);
+fn append<L: Lane>(lanes: &[L], base: i32, quantum: Quantum, texels: &mut Vec<f32>) {
+    let indices = lanes.iter().map(|&lane| base.wrapping_add(lane.into().cast_signed()));
     if quantum.is_none() {
-        pairs.for_each(|(texel, &lane)| *texel = float_from_index(index(lane)));
+        texels.extend(indices.map(float_from_index));
     } else if quantum == UNIT {
         // An i32 is exact in f64, so one rounding or two make no difference.
-        pairs.for_each(|(texel, &lane)| *texel = index(lane) as f32);
+        texels.extend(indices.map(|index| index as f32));
     } else {
-        pairs.for_each(|(texel, &lane)| *texel = quantum.value(index(lane)));
+        texels.extend(indices.map(|index| quantum.value(index)));
     }
 }
 

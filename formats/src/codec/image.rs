@@ -12,6 +12,7 @@ use super::error::DecodeError;
 use super::planes::{self, Method, PlaneWriter};
 use super::predict::{Predictor, cheapest, fill_holes, residual_row, restore_row};
 use super::reader::Reader;
+use crate::lanes::{Wide, vectorized};
 
 /// Buffers for one lane image, kept between pages.
 #[derive(Debug, Default)]
@@ -199,35 +200,45 @@ pub(super) fn read<L: Lane>(
             }
         };
     }
-    join(predictor, &planes[..L::BITS], side, scratch.band_mut(side), sink);
+    let (planes, band) = (&planes[..L::BITS], scratch.band_mut(side));
+    vectorized(Join { predictor, planes, side, band, sink });
     Ok(())
 }
 
 /// Joins planes to residuals and undoes the prediction: the inverse of [`split`].
-fn join<L: Lane>(
+struct Join<'a, L, F> {
     predictor: Predictor,
-    planes: &[Option<&[u8]>],
+    planes: &'a [Option<&'a [u8]>],
     side: usize,
-    band: &mut [L],
-    mut sink: impl FnMut(usize, &[L]),
-) {
-    let stride = stride(side);
-    let (above, rows) = band.split_at_mut(stride);
-    for first in (0..side).step_by(BAND) {
-        rows.fill(L::default());
-        for (byte, planes) in planes.as_chunks::<BAND>().0.iter().enumerate() {
-            let start = first / BAND * side;
-            let of_band = planes.map(|plane| plane.map(|plane| &plane[start..][..side]));
-            turn_back(of_band, byte, rows);
+    band: &'a mut [L],
+    /// Gets each row and its number, from row 0 down.
+    sink: F,
+}
+
+impl<L: Lane, F: FnMut(usize, &[L])> Wide for Join<'_, L, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { predictor, planes, side, band, mut sink } = self;
+        let stride = stride(side);
+        let (above, rows) = band.split_at_mut(stride);
+        for first in (0..side).step_by(BAND) {
+            rows.fill(L::default());
+            for (byte, planes) in planes.as_chunks::<BAND>().0.iter().enumerate() {
+                let start = first / BAND * side;
+                let of_band = planes.map(|plane| plane.map(|plane| &plane[start..][..side]));
+                turn_back(of_band, byte, rows);
+            }
+            let mut before: &[L] = if first == 0 { &[] } else { &above[..side] };
+            for (y, row) in (first..side.min(first + BAND)).zip(rows.chunks_exact_mut(stride)) {
+                let row = &mut row[..side];
+                restore_row(predictor, before, row);
+                sink(y, row);
+                before = row;
+            }
+            above.copy_from_slice(&rows[(BAND - 1) * stride..]);
         }
-        let mut before: &[L] = if first == 0 { &[] } else { &above[..side] };
-        for (y, row) in (first..side.min(first + BAND)).zip(rows.chunks_exact_mut(stride)) {
-            let row = &mut row[..side];
-            restore_row(predictor, before, row);
-            sink(y, row);
-            before = row;
-        }
-        above.copy_from_slice(&rows[(BAND - 1) * stride..]);
     }
 }
 
@@ -285,10 +296,11 @@ mod tests {
 
                 band.fill(0x5a5a);
                 let mut back = Vec::new();
-                join(predictor, &sources, side, &mut band, |y, row| {
+                let sink = |y, row: &[u16]| {
                     assert_eq!(back.len(), y * side);
                     back.extend_from_slice(row);
-                });
+                };
+                vectorized(Join { predictor, planes: &sources, side, band: &mut band, sink });
                 prop_assert_eq!(&back, &lanes);
             }
         }

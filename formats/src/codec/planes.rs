@@ -4,7 +4,7 @@
 //! are what LZ4 is bad at: a match needs four bytes alike, which is 32 texels. They are stored as a
 //! bitmap of the bytes that are not 0, then those bytes.
 
-use crate::lanes::present;
+use crate::lanes::{Wide, present, vectorized};
 use lz4_flex::block::{CompressTable, compress_into_with_table, decompress_into};
 
 /// How a plane is stored. The numbers are those of the format.
@@ -104,7 +104,7 @@ pub(super) fn read(method: Method, bytes: &[u8], plane: &mut [u8]) -> Option<()>
             plane.copy_from_slice(bytes);
             Some(())
         }
-        Method::Sparse => read_sparse(bytes, plane),
+        Method::Sparse => vectorized(ReadSparse { bytes, plane }),
         Method::Lz4 => match decompress_into(bytes, plane) {
             Ok(len) if len == plane.len() => Some(()),
             _ => None,
@@ -146,45 +146,87 @@ fn write_sparse(plane: &[u8], ones: usize, out: &mut Vec<u8>) {
     out.truncate(start + ones);
 }
 
-/// For each eight bits of a bitmap: which of the bytes that follow goes where, and where there is one.
-static SPREAD: [([u8; 8], u64); 256] = {
-    let mut spread = [([0; 8], 0); 256];
-    let mut ones = 0;
-    while ones < 256 {
-        let (mut i, mut next) = (0, 0);
-        while i < 8 {
-            spread[ones].0[i] = next;
-            if ones >> i & 1 == 1 {
-                spread[ones].1 |= 0xff << (8 * i);
-                next += 1;
+/// How eight bytes are spread over the ones of eight bits.
+#[derive(Clone, Copy)]
+struct Spread {
+    /// The bytes that come from four, two and one places before them, in this order.
+    moved: [u64; 3],
+    /// The bytes where there is a one.
+    ones: u64,
+}
+
+/// For each eight bits of a bitmap.
+///
+/// # References
+///
+/// H. S. Warren, *Hacker's Delight*, section 7-5 (expand), with bytes in place of bits.
+static SPREADS: [Spread; 256] = {
+    let mut spreads = [Spread { moved: [0; 3], ones: 0 }; 256];
+    let mut bits = 0;
+    while bits < 256 {
+        let (mut place, mut rank) = (0, 0);
+        while place < 8 {
+            if bits >> place & 1 == 1 {
+                let (mut at, mut step) = (rank, 0);
+                while step < 3 {
+                    if (place - rank) & (4 >> step) != 0 {
+                        at += 4 >> step;
+                        spreads[bits].moved[step] |= 0xff << (8 * at);
+                    }
+                    step += 1;
+                }
+                spreads[bits].ones |= 0xff << (8 * place);
+                rank += 1;
             }
-            i += 1;
+            place += 1;
         }
-        ones += 1;
+        bits += 1;
     }
-    spread
+    spreads
 };
 
-fn read_sparse(bytes: &[u8], plane: &mut [u8]) -> Option<()> {
-    let (bitmap, mut bytes) = bytes.split_at_checked(plane.len().div_ceil(8))?;
-    for (plane, &ones) in plane.chunks_mut(8).zip(bitmap) {
-        if let (Some(plane), Some(next)) = (plane.as_mut_array::<8>(), bytes.first_chunk::<8>()) {
-            let (places, mask) = SPREAD[usize::from(ones)];
-            let spread = places.map(|place| next[usize::from(place % 8)]);
-            *plane = (u64::from_le_bytes(spread) & mask).to_le_bytes();
-            bytes = &bytes[ones.count_ones() as usize..];
-            continue;
-        }
-        plane.fill(0);
-        let mut left = ones;
-        while left != 0 {
-            let (&byte, rest) = bytes.split_first()?;
-            *plane.get_mut(left.trailing_zeros() as usize)? = byte;
-            bytes = rest;
-            left &= left - 1;
-        }
+/// The first of `bytes` where `bits` has ones, the first in the lowest, and 0 elsewhere.
+#[inline(always)]
+fn spread(bytes: [u8; 8], bits: u8) -> [u8; 8] {
+    let Spread { moved: [by_four, by_two, by_one], ones } = SPREADS[usize::from(bits)];
+    let mut word = u64::from_le_bytes(bytes);
+    for (moved, shift) in [(by_four, 32), (by_two, 16), (by_one, 8)] {
+        word ^= (word ^ word << shift) & moved;
     }
-    bytes.is_empty().then_some(())
+    (word & ones).to_le_bytes()
+}
+
+/// A plane that is read from bitmap and bytes; `None` comes out if they do not fit.
+struct ReadSparse<'a> {
+    bytes: &'a [u8],
+    plane: &'a mut [u8],
+}
+
+impl Wide for ReadSparse<'_> {
+    type Output = Option<()>;
+
+    #[inline(always)]
+    fn run(self) -> Option<()> {
+        let Self { bytes, plane } = self;
+        let (bitmap, mut bytes) = bytes.split_at_checked(plane.len().div_ceil(8))?;
+        for (plane, &ones) in plane.chunks_mut(8).zip(bitmap) {
+            if let (Some(plane), Some(next)) = (plane.as_mut_array::<8>(), bytes.first_chunk::<8>())
+            {
+                *plane = spread(*next, ones);
+                bytes = &bytes[ones.count_ones() as usize..];
+                continue;
+            }
+            plane.fill(0);
+            let mut left = ones;
+            while left != 0 {
+                let (&byte, rest) = bytes.split_first()?;
+                *plane.get_mut(left.trailing_zeros() as usize)? = byte;
+                bytes = rest;
+                left &= left - 1;
+            }
+        }
+        bytes.is_empty().then_some(())
+    }
 }
 
 #[cfg(test)]
@@ -247,6 +289,16 @@ mod tests {
         }
         writer.write(&plane, &mut reused);
         assert_eq!(fresh, reused);
+    }
+
+    #[test]
+    fn bytes_go_where_the_ones_are() {
+        for bits in 0..=u8::MAX {
+            let mut expected = [0; 8];
+            let places = (0..8).filter(|place| bits >> place & 1 == 1);
+            places.zip(1..).for_each(|(place, byte)| expected[place] = byte);
+            assert_eq!(spread([1, 2, 3, 4, 5, 6, 7, 8], bits), expected, "{bits:#b}");
+        }
     }
 
     proptest! {
