@@ -335,34 +335,15 @@ impl Pyramid {
     /// If the pyramid does not contain `page`.
     #[must_use]
     pub fn sources(&self, page: PageAddress, halo: u32) -> Vec<PageAddress> {
-        let interior = self.interior();
-        let span = |index: u32| {
-            let start = i64::from(index * interior);
-            start - i64::from(halo)..start + i64::from(interior + halo)
-        };
-        let mut straight_rows: Vec<u32> = Vec::new();
-        let mut turned_rows: Vec<u32> = Vec::new();
-        let height = i64::from(self.size(page.level).expect("the page is this pyramid's").height);
-        let Range { start: top, end: bottom } = span(page.row);
-        // Rows of the level are their own; those past its edges are asked for one by one.
-        let own = top.clamp(0, height)..bottom.clamp(0, height);
-        if !own.is_empty() {
-            straight_rows.extend(narrow(own.start) / interior..=narrow(own.end - 1) / interior);
-        }
-        for row in (top..own.start).chain(own.end..bottom) {
-            let extended = self.extended_row(page.level, row);
-            let rows = if extended.turned { &mut turned_rows } else { &mut straight_rows };
-            rows.extend([extended.row / interior, extended.next / interior]);
-            rows.dedup();
-        }
-
         let mut pages = Vec::new();
-        for (rows, turned) in [(straight_rows, false), (turned_rows, true)] {
+        for (rows, turned) in
+            self.source_rows(page.level, page.row, halo).into_iter().zip([false, true])
+        {
             if rows.is_empty() {
                 continue;
             }
-            let cols = self.source_cols(page.level, span(page.col), turned);
-            for row in distinct(rows) {
+            let cols = self.source_cols(page.level, page.col, halo, turned);
+            for row in rows {
                 pages.extend(cols.iter().map(|&col| PageAddress::new(page.level, row, col)));
             }
         }
@@ -371,12 +352,47 @@ impl Pyramid {
         pages
     }
 
-    /// The columns of pages that hold columns `span` of a level, extended.
-    fn source_cols(&self, level: Level, span: Range<i64>, turned: bool) -> Vec<u32> {
+    /// The rows of pages that hold what shows within `halo` texels above and below row `row` of pages:
+    /// as it is, and turned over a pole. Each sorted.
+    ///
+    /// # Panics
+    ///
+    /// If there is no such level, or row of pages in it.
+    #[must_use]
+    pub fn source_rows(&self, level: Level, row: u32, halo: u32) -> [Vec<u32>; 2] {
+        let interior = self.interior();
+        let [mut straight, mut turned] = [Vec::new(), Vec::new()];
+        let height = i64::from(self.size(level).expect("the level is this pyramid's").height);
+        let Range { start: top, end: bottom } = self.span(row, halo);
+        // Rows of the level are their own; those past its edges are asked for one by one.
+        let own = top.clamp(0, height)..bottom.clamp(0, height);
+        straight.extend(narrow(own.start) / interior..=narrow(own.end - 1) / interior);
+        for row in (top..own.start).chain(own.end..bottom) {
+            let extended = self.extended_row(level, row);
+            let rows = if extended.turned { &mut turned } else { &mut straight };
+            rows.extend([extended.row / interior, extended.next / interior]);
+            rows.dedup();
+        }
+        for rows in [&mut straight, &mut turned] {
+            rows.sort_unstable();
+            rows.dedup();
+        }
+        [straight, turned]
+    }
+
+    /// The columns of pages that hold what shows within `halo` texels on both sides of column `col` of
+    /// pages, in rows that are turned over a pole or not. Each once.
+    ///
+    /// # Panics
+    ///
+    /// If there is no such level.
+    #[must_use]
+    pub fn source_cols(&self, level: Level, col: u32, halo: u32, turned: bool) -> Vec<u32> {
         let interior = self.interior();
         let width = i64::from(self.size(level).expect("the level is this pyramid's").width);
         let pages =
             |cols: Range<i64>| narrow(cols.start) / interior..=narrow(cols.end - 1) / interior;
+        let span = self.span(col, halo);
         if !self.extent.wraps {
             let start = span.start.clamp(0, width - 1);
             return pages(start..span.end.clamp(start + 1, width)).collect();
@@ -387,14 +403,16 @@ impl Pyramid {
         if start + length <= width {
             return straight.collect();
         }
-        straight.chain(pages(0..start + length - width)).collect()
+        let mut cols: Vec<u32> = straight.collect();
+        cols.extend(pages(0..start + length - width).filter(|col| *col < narrow(start) / interior));
+        cols
     }
-}
 
-fn distinct(mut numbers: Vec<u32>) -> Vec<u32> {
-    numbers.sort_unstable();
-    numbers.dedup();
-    numbers
+    /// Rows or columns of texels of a page, and `halo` more on both sides.
+    fn span(&self, index: u32, halo: u32) -> Range<i64> {
+        let start = i64::from(index * self.interior());
+        start - i64::from(halo)..start + i64::from(self.interior() + halo)
+    }
 }
 
 /// The next width 2m·2^k, with 2m at most three pages, that is not below `width`.

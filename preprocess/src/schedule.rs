@@ -260,25 +260,33 @@ fn users(pyramid: &Pyramid, page: PageAddress, halo: u32) -> Vec<PageAddress> {
             (inside || extent.wraps).then(|| u32::try_from(col).expect("a column of the level"))
         })
     };
-    let mut candidates: Vec<(u32, u32)> = Vec::new();
+    let mut users = Vec::new();
     for row in page.row.saturating_sub(2 * reach)..(page.row + 2 * reach + 1).min(rows) {
+        let shown = pyramid.source_rows(page.level, row, halo).map(|rows| rows.contains(&page.row));
+        if shown == [false; 2] {
+            continue;
+        }
+        let mut candidates: Vec<u32> = Vec::new();
         if row.abs_diff(page.row) <= reach {
-            candidates.extend(around(page.col).map(|col| (row, col)));
+            candidates.extend(around(page.col));
         }
         if near_north && row <= 2 * reach || near_south && row + 2 * reach + 1 >= rows {
             // Half a turn away, a column more where that falls between two.
             let half_turn = (page.col + cols / 2) % cols;
-            let far = around(half_turn).chain(around((half_turn + 1) % cols));
-            candidates.extend(far.map(|col| (row, col)));
+            candidates.extend(around(half_turn).chain(around((half_turn + 1) % cols)));
         }
+        candidates.sort_unstable();
+        candidates.dedup();
+        let shows = |col: u32| {
+            let mut ways = shown.into_iter().zip([false, true]).filter(|&(shown, _)| shown);
+            ways.any(|(_, turned)| {
+                pyramid.source_cols(page.level, col, halo, turned).contains(&page.col)
+            })
+        };
+        let cols = candidates.into_iter().filter(|&col| shows(col));
+        users.extend(cols.map(|col| PageAddress::new(page.level, row, col)));
     }
-    candidates.sort_unstable();
-    candidates.dedup();
-    candidates
-        .into_iter()
-        .map(|(row, col)| PageAddress::new(page.level, row, col))
-        .filter(|&user| pyramid.sources(user, halo).binary_search(&page).is_ok())
-        .collect()
+    users
 }
 
 #[cfg(test)]
