@@ -104,6 +104,7 @@ fn dataset(record: &DatasetRecord, archive: &Archive) -> Result<Value, Failure> 
         "page_size": pyramid.page_side(),
         "border": areoid_formats::pyramid::Pyramid::BORDER,
         "step": description.quantum.step,
+        "mip": description.mip.name(),
         "levels": levels,
         "pages": archive.page_count()?,
         "bytes": record.bytes,

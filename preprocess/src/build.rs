@@ -15,13 +15,14 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use areoid_formats::address::PageAddress;
-use areoid_formats::archive::{ArchiveWriter, Description, Unfinished, Written};
+use areoid_formats::archive::{ArchiveWriter, Description, MipRule, Unfinished, Written};
 use areoid_formats::codec::Quantum;
 use areoid_formats::page::Kind;
 use rayon::prelude::*;
 
 use crate::build_error::BuildError;
 use crate::feather::HALO;
+use crate::lowpass;
 use crate::mip::Spans;
 use crate::note::Note;
 use crate::raster::RasterError;
@@ -175,6 +176,9 @@ pub fn build<W: Site + Send>(
     begun: Option<Begun>,
     watch: impl FnMut(Progress) -> Proceed + Send,
 ) -> Result<(W, Written), BuildError> {
+    if description.mip == MipRule::Unknown {
+        return Err(BuildError::MipRule);
+    }
     match description.kind {
         Kind::Height if is_of_whole_heights(description, leaves) => {
             build_of::<i16, W>(description, leaves, site, means, begun, watch)
@@ -200,7 +204,8 @@ fn build_of<S: Texel, W: Site + Send>(
     mut watch: impl FnMut(Progress) -> Proceed + Send,
 ) -> Result<(W, Written), BuildError> {
     let start = Instant::now();
-    let mut schedule = Schedule::new(description.grid.pyramid(), description.unit_pages, HALO);
+    let Description { grid, unit_pages, mip, .. } = description;
+    let mut schedule = Schedule::new(grid.pyramid(), *unit_pages, HALO, lowpass::reach(*mip));
     let spans = if leaves.may_have_holes() { Spans::Kept } else { Spans::Unneeded };
     let scratch = Arc::clone(&means.scratch);
     let mut shop = Shop::<S>::new(description, spans, scratch, means.frontier_bytes);

@@ -16,6 +16,7 @@ use crate::build::{self, Begun, Means, Proceed, Progress, Site, is_of_whole_heig
 use crate::build_error::BuildError;
 use crate::estimate::Estimate;
 use crate::feather::HALO;
+use crate::lowpass;
 use crate::note::Note;
 use crate::once::Overflow;
 use crate::origin::Origin;
@@ -108,7 +109,10 @@ pub(super) fn make_ready(
     tell(watch, Event::Measuring)?;
     let pyramid = description.grid.pyramid();
     let done = begun.map_or(0, |begun| begun.archive.units) as f64;
-    let units = Schedule::new(pyramid, description.unit_pages, HALO).remaining().max(1) as f64;
+    let units =
+        Schedule::new(pyramid, description.unit_pages, HALO, lowpass::reach(description.mip))
+            .remaining()
+            .max(1) as f64;
     let estimate = threads.install(|| {
         let left = 1.0 - done / units;
         let mut go_on = || watch(Event::Measuring);

@@ -4,8 +4,9 @@ use std::sync::LazyLock;
 
 use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::codec::{self, EncodeError, Quantum, Scratch};
+use areoid_formats::lanes::{greatest, least};
 
-use super::{Mean, Planes, PlanesView, Texel};
+use super::{Mean, Planes, PlanesView, Texel, nearest_within};
 
 impl Texel for u8 {
     const CHANNELS: usize = 3;
@@ -63,6 +64,32 @@ impl Texel for u8 {
         for (out, (&[a, b], &[c, d])) in out.iter_mut().zip(pairs) {
             let [a, b, c, d] = [a, b, c, d].map(|code| light.linear[usize::from(code)]);
             *out = light.code(a + b + c + d);
+        }
+    }
+
+    #[inline(always)]
+    fn linear(texels: &[Self], mean: Mean, out: &mut [f64]) {
+        let light = &*LIGHT;
+        for (out, &code) in out.iter_mut().zip(texels) {
+            *out = match mean {
+                Mean::OfNormals => code.into(),
+                _ => light.linear[usize::from(code)].into(),
+            };
+        }
+    }
+
+    #[inline(always)]
+    fn nearest(sums: &[f64], range: [&[Self]; 2], mean: Mean, out: &mut [Self]) {
+        if mean == Mean::OfNormals {
+            return nearest_within(sums, range, Quantum::NONE, out);
+        }
+        let light = &*LIGHT;
+        let range = range[0].iter().zip(range[1]);
+        for ((out, &sum), (&low, &high)) in out.iter_mut().zip(sums).zip(range) {
+            let within = greatest(least(sum, WHITE.into()), 0.0);
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
+            let code = light.code((4.0 * within) as u32);
+            *out = greatest(least(code, high), low);
         }
     }
 
