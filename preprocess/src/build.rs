@@ -331,3 +331,48 @@ fn read(
     let pages = step.map_or(&[][..], |step| &step.read);
     pages.par_iter().map(|&page| Ok((page, leaves.read(page)?))).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use areoid_formats::archive::Source;
+    use areoid_formats::body::Body;
+    use areoid_formats::grid::{Grid, Outline};
+    use areoid_formats::projection::{Crs, Projection};
+
+    struct Nothing;
+
+    impl Leaves for Nothing {
+        fn read(&self, _: PageAddress) -> Result<Option<Raw>, RasterError> {
+            Ok(None)
+        }
+    }
+
+    #[test]
+    fn what_coarser_texels_are_to_be_is_known_or_refused() {
+        let body = Body::parse("moon").unwrap();
+        let crs = Crs::new(Projection::Geographic, body.ellipsoid);
+        let outline = Outline { origin: [0.0; 2], pixel_size: [1.0; 2], width: 30, height: 20 };
+        let build = |mip| {
+            let description = Description {
+                dataset: "nothing".to_owned(),
+                kind: Kind::Height,
+                body: body.clone(),
+                grid: Grid::from_outline(crs, outline, 10).unwrap().grid,
+                quantum: Quantum::NONE,
+                priority: 0,
+                feather_texels: 32,
+                unit_pages: 8,
+                source: Source::default(),
+                resampling: None,
+                mip,
+            };
+            let scratch = Arc::new(Scratch::new(tempfile::tempfile().unwrap(), &[]).unwrap());
+            let means = Means { scratch, frontier_bytes: 0, note_every: Duration::MAX };
+            build(&description, &Nothing, Vec::new(), &means, None, |_| Proceed::Yes).unwrap_err()
+        };
+        assert!(matches!(build(MipRule::Unknown), BuildError::MipRule));
+        assert!(matches!(build(MipRule::Mean), BuildError::NoData));
+        assert!(matches!(build(MipRule::Kaiser), BuildError::NoData));
+    }
+}

@@ -359,3 +359,36 @@ impl<S: Texel> lanes::Wide for Nearest<'_, S> {
         S::nearest(self.sums, self.range, self.mean, self.out);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The modified Bessel function of order 0, by its series.
+    fn i0(x: f64) -> f64 {
+        let mut term = 1.0;
+        (1..60).fold(1.0, |sum, k| {
+            term *= (x / (2.0 * f64::from(k))).powi(2);
+            sum + term
+        })
+    }
+
+    #[test]
+    fn weights_are_those_of_kaisers_window() {
+        let weight = |k: usize| {
+            let t = k as f64 + 0.5;
+            let half = std::f64::consts::PI * t / 2.0;
+            half.sin() / half * i0(5.0 * (1.0 - (t / 6.0).powi(2)).sqrt()) / i0(5.0)
+        };
+        let total: f64 = 2.0 * (0..PAIRS).map(weight).sum::<f64>();
+        for (k, found) in WEIGHTS.into_iter().enumerate() {
+            let units = found * 16384.0;
+            assert_eq!(units, units.round());
+            assert!((units - 16384.0 * weight(k) / total).abs() < 0.7, "{k}: {units}");
+        }
+        // Sums of 144 lights below 2^22 have no more than 53 digits; those of equal ones are they.
+        assert_eq!(WEIGHTS.into_iter().sum::<f64>(), 0.5);
+        let absolute: f64 = 2.0 * WEIGHTS.into_iter().map(f64::abs).sum::<f64>();
+        assert!(absolute.powi(2) < 2.0);
+    }
+}

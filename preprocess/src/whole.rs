@@ -75,6 +75,7 @@ pub fn finish<S: Texel>(
         children.iter().map(|child| child.tile.range).fold(own, union)
     };
     let range = union(interior, border_range(tile));
+    debug_assert_eq!(union(interior_range(tile, 0), range), range, "{page} is out of its range");
     let cells = if finest {
         leaf_cells(tile)
     } else {
