@@ -29,8 +29,6 @@
 //!
 //! J. F. Kaiser, "Nonrecursive digital filter design using the I₀-sinh window function", 1974.
 
-use std::collections::VecDeque;
-
 use areoid_formats::address::PageAddress;
 use areoid_formats::archive::MipRule;
 use areoid_formats::lanes::{self, greatest, least};
@@ -90,7 +88,7 @@ pub fn refine<'a, S: Texel>(
 
     let mut gathered = Gathered::new(false, false);
     let mut along = Along::new(parent.cols);
-    let mut strips: VecDeque<Strip<S>> = (0..TAPS).map(|_| Strip::new(parent.cols)).collect();
+    let mut strips: [Strip<S>; TAPS] = std::array::from_fn(|_| Strip::new(parent.cols));
     let mut down = Down::new(parent.cols);
     for at in 0..parent.rows {
         for _ in 0..if at == 0 { TAPS } else { 2 } {
@@ -101,10 +99,10 @@ pub fn refine<'a, S: Texel>(
                 gathered.take(&tiles, source, cols, 1);
             }
             strips.rotate_left(1);
-            let strip = strips.back_mut().expect("there are twelve");
+            let [.., strip] = &mut strips;
             along.sum(&gathered, mean, strip);
         }
-        down.sum(strips.make_contiguous(), mean, parent, at);
+        down.sum(&strips, mean, parent, at);
     }
 }
 
@@ -268,7 +266,7 @@ impl<S: Texel> Down<S> {
     }
 
     /// Makes row `row` of a parent of twelve rows around it.
-    fn sum(&mut self, strips: &[Strip<S>], mean: Mean, parent: &mut Tile<S>, row: usize) {
+    fn sum(&mut self, strips: &[Strip<S>; TAPS], mean: Mean, parent: &mut Tile<S>, row: usize) {
         if strips.iter().any(|strip| strip.validity == Validity::None) {
             return;
         }
@@ -281,7 +279,7 @@ impl<S: Texel> Down<S> {
         }
         let texels = parent.row(row);
         for channel in 0..S::CHANNELS {
-            let rows = std::array::from_fn(|at| &strips[at].channels[channel]);
+            let rows = strips.each_ref().map(|strip| &strip.channels[channel]);
             lanes::vectorized(DownColumns { rows, out: &mut self.sums });
             let Sums { sums, low, high } = &self.sums;
             let out = &mut parent.planes[channel][texels.clone()];
