@@ -48,10 +48,12 @@ fn the_same_input_again_is_nothing_to_do() {
     assert!(String::from_utf8_lossy(rig::stdout(&said)).contains("nothing to do"), "{said:?}");
     assert_eq!(Catalog::open(catalog.path()).unwrap().generation(), generation);
 
-    // Another step is another dataset, which needs to be asked for.
-    let told = subject.command(catalog.path(), &["--step-m", "9"]);
-    let told = rig::assert_told(&{ told }.output().unwrap());
-    assert!(told.contains("--force"), "{told}");
+    // Another step is another dataset, which needs to be asked for; so is another rule.
+    for options in [["--step-m", "9"], ["--mip", "kaiser"]] {
+        let told = subject.command(catalog.path(), &options).output().unwrap();
+        let told = rig::assert_told(&told);
+        assert!(told.contains("--force"), "{told}");
+    }
     rig::assert_whole(catalog.path(), &archive, "after a refusal");
 }
 

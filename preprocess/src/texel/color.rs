@@ -207,6 +207,22 @@ mod tests {
         }
     }
 
+    #[test]
+    fn light_that_was_summed_has_the_code_below_it() {
+        let codes = |sums: &[f64], low: u8, high: u8| {
+            let mut out = vec![0; sums.len()];
+            let range = [&vec![low; sums.len()][..], &vec![high; sums.len()][..]];
+            u8::nearest(sums, range, Mean::OfColors, &mut out);
+            out
+        };
+        for code in 0..255_u8 {
+            let next = (4.0 * f64::from(WHITE) * light_of(f64::from(code) + 0.5)).round();
+            assert_eq!(codes(&[(next - 0.25) / 4.0, next / 4.0], 0, 255), [code, code + 1]);
+        }
+        assert_eq!(codes(&[-1e9, 1e9], 0, 255), [0, 255]);
+        assert_eq!(codes(&[-1e9, 1e9], 7, 9), [7, 9]);
+    }
+
     proptest! {
         #[test]
         fn a_code_is_the_nearest_to_the_mean_light(codes: [u8; 4]) {
