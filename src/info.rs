@@ -104,6 +104,7 @@ fn dataset(record: &DatasetRecord, archive: &Archive) -> Result<Value, Failure> 
         "page_size": pyramid.page_side(),
         "border": areoid_formats::pyramid::Pyramid::BORDER,
         "step": description.quantum.step,
+        "mip": description.mip.name(),
         "levels": levels,
         "pages": archive.page_count()?,
         "bytes": record.bytes,
@@ -154,7 +155,7 @@ fn text(catalog: &Catalog, datasets: &[Value]) -> Result<(), Failure> {
         }
         let grid = &dataset["grid"];
         output::line(format_args!(
-            "\n{}{}: {}, {} x {}, {} pages, {} bytes\n  {}",
+            "\n{}{}: {}, {} x {}, {} pages, {} bytes{}\n  {}",
             dataset["name"].as_str().unwrap_or_default(),
             dataset["group"].as_str().map(|group| format!(", part of {group}")).unwrap_or_default(),
             dataset["kind"].as_str().unwrap_or_default(),
@@ -162,6 +163,10 @@ fn text(catalog: &Catalog, datasets: &[Value]) -> Result<(), Failure> {
             grid["height"],
             dataset["pages"],
             dataset["bytes"],
+            match dataset["mip"].as_str() {
+                Some("mean") | None => String::new(),
+                Some(rule) => format!(", coarser levels by the {rule} rule"),
+            },
             grid["crs"].as_str().unwrap_or_default(),
         ))?;
         for level in dataset["levels"].as_array().into_iter().flatten() {

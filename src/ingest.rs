@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
+use areoid_formats::archive::MipRule;
 use areoid_formats::catalog::RealDisk;
 use areoid_formats::codec::Quantum;
 use areoid_formats::geodesy::LatitudeKind;
@@ -116,6 +117,12 @@ pub(crate) struct Args {
     #[arg(long, value_name = "METERS", value_parser = pixel_size)]
     pixel_size_m: Option<f64>,
 
+    /// How coarser levels are made of finer ones: by the mean of two by two texels, or by a low-pass
+    /// over twelve by twelve (Kaiser's window on a sinc), which keeps more of what a level can show and
+    /// less of what it cannot. Beside missing texels it is the mean.
+    #[arg(long, value_enum, value_name = "RULE", default_value = "mean")]
+    mip: MipArg,
+
     /// Memory to use: what exceeds it waits in a file beside the archive. Two work units must fit,
     /// of 64 leaves each.
     #[arg(long, value_name = "MIB", default_value_t = 2048)]
@@ -168,6 +175,12 @@ pub(crate) enum KernelArg {
     Lanczos,
     Spline,
     Average,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum MipArg {
+    Mean,
+    Kaiser,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -253,6 +266,10 @@ impl Args {
             pixel_size: self.pixel_size_m.map(Meters),
             kernel: self.kernel.unwrap_or(KernelArg::Spline).kernel(self.spline_degree),
             limit: if self.limit_range { RangeLimit::Taps } else { RangeLimit::None },
+            mip: match self.mip {
+                MipArg::Mean => MipRule::Mean,
+                MipArg::Kaiser => MipRule::Kaiser,
+            },
             page_side: self.page_size,
             priority: self.priority,
             threads: self.threads.map(usize::from),

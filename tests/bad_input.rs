@@ -301,6 +301,7 @@ fn a_full_disk_is_an_error_and_changes_nothing() {
         pixel_size: None,
         kernel: Kernel::QuinticSpline,
         limit: RangeLimit::None,
+        mip: areoid_formats::archive::MipRule::Mean,
         page_side: 8,
         priority: 0,
         threads: Some(1),

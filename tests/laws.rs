@@ -12,6 +12,7 @@ mod support;
 mod laws {
     mod analytic;
     mod bytes;
+    mod lowpass;
     mod nodata;
     mod normals;
     mod pages;

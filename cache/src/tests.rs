@@ -11,7 +11,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use areoid_formats::address::{Level, PageAddress};
 use areoid_formats::archive::record::RECORD_HEAD_LEN;
 use areoid_formats::archive::{
-    Archive, ArchiveWriter, ConstantTexel, Description, PageEntry, Payload, Source,
+    Archive, ArchiveWriter, ConstantTexel, Description, MipRule, PageEntry, Payload, Source,
 };
 use areoid_formats::body::Body;
 use areoid_formats::codec::{Quantum, encode_heights};
@@ -121,6 +121,7 @@ fn planet(name: &str, grid: Grid, kind: Kind) -> (Description, Vec<u8>) {
         feather_texels: 0,
         unit_pages: 8,
         resampling: None,
+        mip: MipRule::Mean,
         source: Source::default(),
     };
     let mut entries = HashMap::new();

@@ -15,13 +15,14 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use areoid_formats::address::PageAddress;
-use areoid_formats::archive::{ArchiveWriter, Description, Unfinished, Written};
+use areoid_formats::archive::{ArchiveWriter, Description, MipRule, Unfinished, Written};
 use areoid_formats::codec::Quantum;
 use areoid_formats::page::Kind;
 use rayon::prelude::*;
 
 use crate::build_error::BuildError;
 use crate::feather::HALO;
+use crate::lowpass;
 use crate::mip::Spans;
 use crate::note::Note;
 use crate::raster::RasterError;
@@ -175,6 +176,9 @@ pub fn build<W: Site + Send>(
     begun: Option<Begun>,
     watch: impl FnMut(Progress) -> Proceed + Send,
 ) -> Result<(W, Written), BuildError> {
+    if description.mip == MipRule::Unknown {
+        return Err(BuildError::MipRule);
+    }
     match description.kind {
         Kind::Height if is_of_whole_heights(description, leaves) => {
             build_of::<i16, W>(description, leaves, site, means, begun, watch)
@@ -200,7 +204,8 @@ fn build_of<S: Texel, W: Site + Send>(
     mut watch: impl FnMut(Progress) -> Proceed + Send,
 ) -> Result<(W, Written), BuildError> {
     let start = Instant::now();
-    let mut schedule = Schedule::new(description.grid.pyramid(), description.unit_pages, HALO);
+    let Description { grid, unit_pages, mip, .. } = description;
+    let mut schedule = Schedule::new(grid.pyramid(), *unit_pages, HALO, lowpass::reach(*mip));
     let spans = if leaves.may_have_holes() { Spans::Kept } else { Spans::Unneeded };
     let scratch = Arc::clone(&means.scratch);
     let mut shop = Shop::<S>::new(description, spans, scratch, means.frontier_bytes);
@@ -325,4 +330,49 @@ fn read(
 ) -> Result<Vec<(PageAddress, Option<Raw>)>, RasterError> {
     let pages = step.map_or(&[][..], |step| &step.read);
     pages.par_iter().map(|&page| Ok((page, leaves.read(page)?))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use areoid_formats::archive::Source;
+    use areoid_formats::body::Body;
+    use areoid_formats::grid::{Grid, Outline};
+    use areoid_formats::projection::{Crs, Projection};
+
+    struct Nothing;
+
+    impl Leaves for Nothing {
+        fn read(&self, _: PageAddress) -> Result<Option<Raw>, RasterError> {
+            Ok(None)
+        }
+    }
+
+    #[test]
+    fn what_coarser_texels_are_to_be_is_known_or_refused() {
+        let body = Body::parse("moon").unwrap();
+        let crs = Crs::new(Projection::Geographic, body.ellipsoid);
+        let outline = Outline { origin: [0.0; 2], pixel_size: [1.0; 2], width: 30, height: 20 };
+        let build = |mip| {
+            let description = Description {
+                dataset: "nothing".to_owned(),
+                kind: Kind::Height,
+                body: body.clone(),
+                grid: Grid::from_outline(crs, outline, 10).unwrap().grid,
+                quantum: Quantum::NONE,
+                priority: 0,
+                feather_texels: 32,
+                unit_pages: 8,
+                source: Source::default(),
+                resampling: None,
+                mip,
+            };
+            let scratch = Arc::new(Scratch::new(tempfile::tempfile().unwrap(), &[]).unwrap());
+            let means = Means { scratch, frontier_bytes: 0, note_every: Duration::MAX };
+            build(&description, &Nothing, Vec::new(), &means, None, |_| Proceed::Yes).unwrap_err()
+        };
+        assert!(matches!(build(MipRule::Unknown), BuildError::MipRule));
+        assert!(matches!(build(MipRule::Mean), BuildError::NoData));
+        assert!(matches!(build(MipRule::Kaiser), BuildError::NoData));
+    }
 }

@@ -40,6 +40,9 @@ pub enum BuildError {
     /// The scratch file cannot be written or read.
     #[error("cannot keep pages in the scratch file")]
     Scratch(#[source] io::Error),
+    /// A description whose [`MipRule`](areoid_formats::archive::MipRule) is unknown.
+    #[error("how coarser texels are to be made only a later version knows")]
+    MipRule,
     /// Nothing to build.
     #[error("no valid sample: every one is no-data")]
     NoData,
@@ -55,7 +58,8 @@ impl BuildError {
         match self {
             Self::Raster(error) => matches!(error, RasterError::Io { .. }),
             Self::Write(_) | Self::Scratch(_) | Self::Interrupted => true,
-            Self::Step { .. } | Self::Encode { .. } | Self::Sync(_) | Self::NoData => false,
+            Self::Step { .. } | Self::Encode { .. } | Self::Sync(_) => false,
+            Self::MipRule | Self::NoData => false,
         }
     }
 }

@@ -12,12 +12,17 @@ pub mod schedule;
 
 pub mod texel;
 
-pub mod border;
 pub mod tile;
+
+mod gather;
+
+pub mod border;
 
 pub mod feather;
 
 pub mod mip;
+
+pub mod lowpass;
 
 pub mod whole;
 

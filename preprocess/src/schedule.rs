@@ -11,7 +11,8 @@
 //! children are. A page is *whole*, and its record can be written, when every page it borders on
 //! is settled and its children are whole. [`Schedule`] says after each unit what has become
 //! settled and whole, finest level first and by key within a level, and what is not needed any
-//! more. No texel is touched here.
+//! more. Where parents are made of more than their children, they wait for the pages around these,
+//! too. No texel is touched here.
 
 use std::collections::HashMap;
 
@@ -41,11 +42,12 @@ pub struct Schedule {
     pyramid: Pyramid,
     unit_pages: u32,
     halo: u32,
+    mip_reach: u32,
     /// Keys of the units still to come, in reverse.
     units: Vec<PageKey>,
     /// How much each page still waits for; pages that nothing has happened to are absent.
     unread: HashMap<PageAddress, usize>,
-    unsettled_children: HashMap<PageAddress, usize>,
+    unsettled_feeders: HashMap<PageAddress, usize>,
     unsettled_sources: HashMap<PageAddress, usize>,
     unfinished_children: HashMap<PageAddress, usize>,
     /// How many still need each page.
@@ -55,13 +57,14 @@ pub struct Schedule {
 
 impl Schedule {
     /// The schedule of `pyramid` in units of `unit_pages` leaves a side, with coverage that
-    /// depends on the validity of everything up to `halo` texels away at the finest level.
+    /// depends on the validity of everything up to `halo` texels away at the finest level, and
+    /// parents that are made of everything up to `mip_reach` texels away from their children.
     ///
     /// # Panics
     ///
     /// Never: every pyramid has a finest level.
     #[must_use]
-    pub fn new(pyramid: &Pyramid, unit_pages: u32, halo: u32) -> Self {
+    pub fn new(pyramid: &Pyramid, unit_pages: u32, halo: u32, mip_reach: u32) -> Self {
         let (rows, cols) = pyramid.pages(pyramid.finest()).expect("a pyramid has a finest level");
         let (rows, cols) = (rows.div_ceil(unit_pages), cols.div_ceil(unit_pages));
         let unit = |row, col| PageKey::from(PageAddress::new(Level(0), row, col));
@@ -72,9 +75,10 @@ impl Schedule {
             pyramid: pyramid.clone(),
             unit_pages,
             halo,
+            mip_reach,
             units,
             unread: HashMap::new(),
-            unsettled_children: HashMap::new(),
+            unsettled_feeders: HashMap::new(),
             unsettled_sources: HashMap::new(),
             unfinished_children: HashMap::new(),
             readers: HashMap::new(),
@@ -131,19 +135,20 @@ impl Schedule {
             let end = step.settled.len();
             let mut parents = Vec::new();
             for page in step.settled[start..end].iter().copied() {
-                let Some(parent) = page.parent() else { continue };
-                let pyramid = &self.pyramid;
-                let children = || pyramid.children(parent).count();
-                if count_down(&mut self.unsettled_children, parent, children) {
-                    parents.push(parent);
+                for parent in fed(&self.pyramid, page, self.mip_reach) {
+                    let (pyramid, reach) = (&self.pyramid, self.mip_reach);
+                    let feeders = || feeders(pyramid, parent, reach).len();
+                    if count_down(&mut self.unsettled_feeders, parent, feeders) {
+                        parents.push(parent);
+                    }
                 }
             }
             sort(&mut parents);
             for &parent in &parents {
                 self.expect_viewers(parent);
-                for child in self.pyramid.children(parent) {
-                    if count_down_known(&mut self.viewers, child) {
-                        step.forget_settled.push(child);
+                for feeder in feeders(&self.pyramid, parent, self.mip_reach) {
+                    if count_down_known(&mut self.viewers, feeder) {
+                        step.forget_settled.push(feeder);
                     }
                 }
             }
@@ -152,10 +157,11 @@ impl Schedule {
         }
     }
 
-    /// A settled page is looked at by the windows that show it, and by its parent.
+    /// A settled page is looked at by the windows that show it, and by the parents made of it.
     fn expect_viewers(&mut self, page: PageAddress) {
         let windows = users(&self.pyramid, page, Pyramid::BORDER).len();
-        self.viewers.insert(page, windows + usize::from(page.level != Level(0)));
+        let parents = fed(&self.pyramid, page, self.mip_reach).len();
+        self.viewers.insert(page, windows + parents);
     }
 
     fn finish_pages(&mut self, step: &mut Step) {
@@ -236,6 +242,32 @@ fn count_down_known(counts: &mut HashMap<PageAddress, usize>, page: PageAddress)
 
 fn sort(pages: &mut [PageAddress]) {
     pages.sort_unstable_by_key(|&page| PageKey::from(page));
+}
+
+/// The pages whose texels a parent is made of: its children, and those that show within `mip_reach`
+/// texels of them. Sorted.
+#[must_use]
+pub fn feeders(pyramid: &Pyramid, parent: PageAddress, mip_reach: u32) -> Vec<PageAddress> {
+    if mip_reach == 0 {
+        return pyramid.children(parent).collect();
+    }
+    let sources = pyramid.children(parent).flat_map(|child| pyramid.sources(child, mip_reach));
+    let mut feeders: Vec<PageAddress> = sources.collect();
+    feeders.sort_unstable();
+    feeders.dedup();
+    feeders
+}
+
+/// The parents that have `page` among their [`feeders`].
+fn fed(pyramid: &Pyramid, page: PageAddress, mip_reach: u32) -> Vec<PageAddress> {
+    if mip_reach == 0 {
+        return page.parent().into_iter().collect();
+    }
+    let parents = users(pyramid, page, mip_reach).into_iter().filter_map(PageAddress::parent);
+    let mut parents: Vec<PageAddress> = parents.collect();
+    parents.sort_unstable();
+    parents.dedup();
+    parents
 }
 
 /// The pages that have `page` among their [`sources`](Pyramid::sources) at `halo`.
@@ -347,16 +379,41 @@ mod tests {
         }
     }
 
+    #[test]
+    fn parents_are_fed_by_their_feeders() {
+        for pyramid in pyramids() {
+            for reach in [0, 1, 5, 12] {
+                let pages = || pyramid.levels().flat_map(|level| all_pages(&pyramid, level));
+                let mut expected: HashMap<PageAddress, Vec<PageAddress>> = HashMap::new();
+                for parent in pages() {
+                    let around = |child| match reach {
+                        0 => vec![child],
+                        _ => pyramid.sources(child, reach),
+                    };
+                    let around: HashSet<_> = pyramid.children(parent).flat_map(around).collect();
+                    let found = feeders(&pyramid, parent, reach);
+                    assert_eq!(found.len(), around.len(), "{parent} {pyramid:?}");
+                    assert!(found.iter().all(|page| around.contains(page)), "{parent}");
+                    around.iter().for_each(|&page| expected.entry(page).or_default().push(parent));
+                }
+                for page in pages() {
+                    let expected = expected.remove(&page).unwrap_or_default();
+                    assert_eq!(fed(&pyramid, page, reach), expected, "{page} {pyramid:?}");
+                }
+            }
+        }
+    }
+
     /// Plays a schedule and checks that nothing is used before it is there or after it is gone,
     /// that everything comes once, and that nothing is kept.
     #[test]
     fn every_page_is_made_once_from_what_is_there() {
         for pyramid in pyramids() {
-            for (unit, halo) in [(8, 5), (2, 1), (1, 12)] {
+            for (unit, halo, reach) in [(8, 5, 0), (2, 1, 5), (1, 12, 0), (1, 1, 12), (8, 5, 5)] {
                 let (mut read, mut settled, mut whole) =
                     (HashSet::new(), HashSet::new(), HashSet::new());
                 let mut made = 0;
-                for step in Schedule::new(&pyramid, unit, halo) {
+                for step in Schedule::new(&pyramid, unit, halo, reach) {
                     read.extend(step.read);
                     for page in step.settled {
                         if page.level == pyramid.finest() {
@@ -364,7 +421,8 @@ mod tests {
                                 assert!(read.contains(&source), "{source} for {page}");
                             }
                         } else {
-                            assert!(pyramid.children(page).all(|child| settled.contains(&child)));
+                            let feeders = feeders(&pyramid, page, reach);
+                            assert!(feeders.iter().all(|feeder| settled.contains(feeder)));
                         }
                         assert!(settled.insert(page));
                     }
@@ -392,7 +450,7 @@ mod tests {
     #[test]
     fn the_order_is_the_one_the_format_describes() {
         for pyramid in pyramids() {
-            for (unit, halo) in [(8, 33), (2, 5), (1, 1)] {
+            for (unit, halo, reach) in [(8, 33, 0), (2, 5, 0), (2, 1, 5), (1, 1, 0), (1, 9, 5)] {
                 let leaves = all_pages(&pyramid, pyramid.finest());
                 let unit_of = |page: &PageAddress| {
                     PageKey::from(PageAddress::new(Level(0), page.row / unit, page.col / unit))
@@ -401,7 +459,7 @@ mod tests {
                 units.sort_unstable();
                 units.dedup();
 
-                let mut schedule = Schedule::new(&pyramid, unit, halo);
+                let mut schedule = Schedule::new(&pyramid, unit, halo, reach);
                 let (mut read, mut settled, mut whole) =
                     (HashSet::new(), HashSet::new(), HashSet::new());
                 for unit in units {
@@ -415,7 +473,12 @@ mod tests {
                             let ready = if level == pyramid.finest() {
                                 pyramid.sources(page, halo).iter().all(|leaf| read.contains(leaf))
                             } else {
-                                pyramid.children(page).all(|child| settled.contains(&child))
+                                pyramid.children(page).all(|child| {
+                                    let around = pyramid.sources(child, reach);
+                                    settled.contains(&child)
+                                        && (reach == 0
+                                            || around.iter().all(|page| settled.contains(page)))
+                                })
                             };
                             if ready {
                                 settled.insert(page);

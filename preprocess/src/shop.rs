@@ -2,7 +2,8 @@
 //!
 //! ```text
 //!   read ──▶ settle leaves ──▶ settle parents ──▶ border, finish ──▶ written in order
-//!            coverage, step     mean of children    neighbors' texels
+//!            coverage, step     mean or low-pass    neighbors' texels
+//!                               of children
 //! ```
 //!
 //! Within a step the pages of a level are made in parallel, each from pages that do not change
@@ -13,7 +14,7 @@ use std::io;
 use std::sync::Arc;
 
 use areoid_formats::address::PageAddress;
-use areoid_formats::archive::{Description, PageEntry};
+use areoid_formats::archive::{Description, MipRule, PageEntry};
 use areoid_formats::pyramid::Pyramid;
 use rayon::prelude::*;
 
@@ -21,10 +22,11 @@ use crate::border::Border;
 use crate::build_error::BuildError;
 use crate::feather::{self, Validity};
 use crate::frontier::{Frontier, Kept};
+use crate::lowpass;
 use crate::mip::{self, Spans};
 use crate::note::{Note, NotedValidity};
 use crate::raster::RasterError;
-use crate::schedule::Step;
+use crate::schedule::{Step, feeders};
 use crate::scratch::{Scratch, Slot};
 use crate::texel::{Mean, Texel};
 use crate::tile::{Closed, Raw, Tile};
@@ -40,8 +42,8 @@ pub(crate) struct Shop<'a, S: Texel> {
     validity: HashMap<PageAddress, Validity>,
     /// Of the pages whose parents are not whole.
     entries: HashMap<PageAddress, PageEntry>,
-    /// Pages that one of their two uses is over for: as a neighbor and child to be averaged, and as
-    /// a child to be held against.
+    /// Pages that one of their two uses is over for: as a neighbor and what parents are made of, and
+    /// as a child to be held against.
     half_done: HashSet<PageAddress>,
     /// Slots of the last note that are not the frontier's.
     noted_bits: Vec<Slot>,
@@ -198,10 +200,12 @@ impl<'a, S: Texel> Shop<'a, S> {
     fn fetch(&mut self, settled: &[PageAddress], whole: &[PageAddress]) -> Result<(), BuildError> {
         let pyramid = self.pyramid();
         let mut pages: HashSet<PageAddress> = settled.iter().copied().collect();
-        for &page in settled.iter().chain(whole) {
-            pages.extend(pyramid.children(page));
+        let reach = lowpass::reach(self.description.mip);
+        for &page in settled {
+            pages.extend(feeders(pyramid, page, reach));
         }
         for &page in whole {
+            pages.extend(pyramid.children(page));
             pages.extend(pyramid.sources(page, Pyramid::BORDER));
         }
         self.frontier.fetch(&pages).map_err(BuildError::Scratch)
@@ -279,16 +283,22 @@ impl<'a, S: Texel> Shop<'a, S> {
 
     fn settle_parents(&mut self, parents: &[PageAddress]) {
         let pyramid = self.pyramid();
+        let mean = Mean::of(self.description);
+        let tile_of = |page| self.frontier.get(page).map(|kept| &kept.tile);
         let settled: Vec<_> = parents
             .par_iter()
             .map(|&page| {
                 let children: Vec<_> = pyramid
                     .children(page)
-                    .filter_map(|child| Some((place_of(child), &self.frontier.get(child)?.tile)))
+                    .filter_map(|child| Some((place_of(child), tile_of(child)?)))
                     .collect();
                 let (rows, cols) = pyramid.interior_size(page);
                 let (side, size) = (pyramid.page_side() as usize, (rows as usize, cols as usize));
-                mip::parent(side, size, &children, Mean::of(self.description), self.spans)
+                let mut tile = mip::parent(side, size, &children, mean, self.spans)?;
+                if self.description.mip == MipRule::Kaiser {
+                    lowpass::refine(&mut tile, (pyramid, page), tile_of, mean);
+                }
+                Some(tile)
             })
             .collect();
         for (&page, tile) in parents.iter().zip(settled) {

@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::ops::Range;
 
 use areoid_formats::address::PageAddress;
-use areoid_formats::archive::{Description, PageEntry, Payload};
+use areoid_formats::archive::{Description, MipRule, PageEntry, Payload};
 use areoid_formats::bound::{self, Cells, Child, Family, Span};
 use areoid_formats::codec::{EncodeError, Scratch};
 use areoid_formats::lanes::{self, greatest, least};
@@ -67,9 +67,15 @@ pub fn finish<S: Texel>(
     let interior = if finest {
         interior_range(tile, 0)
     } else {
-        children.iter().map(|child| child.tile.range).fold(S::NOTHING, union)
+        // Means lie between what is below; a low-pass looks farther.
+        let own = match description.mip {
+            MipRule::Mean => S::NOTHING,
+            MipRule::Kaiser | MipRule::Unknown => interior_range(tile, 0),
+        };
+        children.iter().map(|child| child.tile.range).fold(own, union)
     };
     let range = union(interior, border_range(tile));
+    debug_assert_eq!(union(interior_range(tile, 0), range), range, "{page} is out of its range");
     let cells = if finest {
         leaf_cells(tile)
     } else {

@@ -92,7 +92,7 @@ impl Args {
             2 => MISSING.to_le_bytes().repeat(pixels),
             _ => f32::NAN.to_le_bytes().repeat(pixels),
         };
-        for step in Schedule::new(pyramid, UNIT_PAGES, HALO) {
+        for step in Schedule::new(pyramid, UNIT_PAGES, HALO, 0) {
             let read = |&page: &PageAddress| Ok((page, resampler.read(page)?));
             let leaves: Result<Vec<(PageAddress, Option<Raw>)>, RasterError> =
                 step.read.par_iter().map(read).collect();

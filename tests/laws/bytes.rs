@@ -28,19 +28,24 @@ fn bytes_depend_on_nothing_but_the_input() {
         let height = if plain { 9.0 } else { (random.unit() * 4000.0).round() as f32 };
         if hole { f32::NAN } else { height }
     });
-    for grid in [&[][..], &["--grid", "polar-north"], &["--pixel-size-m", "90000"]] {
-        check(&raster, grid);
+    for options in [
+        &[][..],
+        &["--mip", "kaiser"],
+        &["--grid", "polar-north", "--mip", "kaiser"],
+        &["--pixel-size-m", "90000"],
+    ] {
+        check(&raster, options);
     }
 }
 
 /// The same with one thread and eight.
-fn check(raster: &Raster, grid: &[&str]) {
+fn check(raster: &Raster, options: &[&str]) {
     let mut first: Option<(String, Vec<u8>)> = None;
     for threads in ["1", "2", "4", "8", "8", "1"] {
         let folder = TempDir::new().unwrap();
         let file = Writing::of(raster, Samples::Int16(-1)).write(raster, folder.path(), "g.tif");
         let catalog = folder.path().join("catalog");
-        ingest(&catalog, &file, &[&["--threads", threads, "--page-size", "18"], grid].concat());
+        ingest(&catalog, &file, &[&["--threads", threads, "--page-size", "18"], options].concat());
         let found = archive_file(&catalog);
         let expected = first.get_or_insert_with(|| found.clone());
         assert_eq!(found.0, expected.0, "the name of the archive with {threads} threads");

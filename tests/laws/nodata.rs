@@ -32,10 +32,12 @@ fn sentinels_leave_no_trace() {
             let raster = holey(place, size);
             let folder = TempDir::new().unwrap();
             let file = Writing::of(&raster, samples).write(&raster, folder.path(), "holey.tif");
-            let catalog = folder.path().join("catalog");
-            ingest(&catalog, &file, &["--page-size", "18"]);
-            check_texels(&catalog);
-            check_heights(&catalog, &raster);
+            for mip in ["mean", "kaiser"] {
+                let catalog = folder.path().join(mip);
+                ingest(&catalog, &file, &["--page-size", "18", "--mip", mip]);
+                check_texels(&catalog);
+                check_heights(&catalog, &raster);
+            }
         }
     }
 }

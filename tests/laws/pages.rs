@@ -1,5 +1,6 @@
 //! Laws 1 to 4 on small rasters, drawn by the hundred, and on every kind of edge by name.
 
+use areoid_formats::archive::MipRule;
 use proptest::prelude::*;
 
 use crate::support::lawful::assert_lawful;
@@ -127,13 +128,14 @@ struct Recipe {
     relief: Relief,
     holes: Holes,
     seed: u64,
+    mip: MipRule,
 }
 
 impl Recipe {
     /// The raster, unless it has no pyramid or no height.
     fn raster(self) -> Option<Raster> {
-        let Self { place, size, step, relief, holes, seed, page_side } = self;
-        let raster = made_up(place, size, step, relief, holes, seed);
+        let Self { place, size, step, relief, holes, seed, page_side, mip } = self;
+        let raster = Raster { mip, ..made_up(place, size, step, relief, holes, seed) };
         let any = raster.planes[0].iter().any(|height| !height.is_nan());
         (any && raster.grid(page_side).is_ok()).then_some(raster)
     }
@@ -145,8 +147,9 @@ fn any_recipe() -> impl Strategy<Value = Recipe> {
     let side = prop::sample::select(vec![8, 10, 12, 18]);
     // Widths around the body halve often enough, others need not.
     let size = (1..70_usize, 1..60_usize);
-    (any_place(), size, step, side, any_relief(), any_holes(), any::<u64>()).prop_map(
-        |(place, (cols, rows), step, page_side, relief, holes, seed)| {
+    let mip = prop::sample::select(vec![MipRule::Mean, MipRule::Kaiser]);
+    (any_place(), size, step, side, any_relief(), any_holes(), any::<u64>(), mip).prop_map(
+        |(place, (cols, rows), step, page_side, relief, holes, seed, mip)| {
             let (cols, rows) = match place {
                 Place::Region => (cols, rows),
                 Place::Belt => (cols.next_multiple_of(16), rows),
@@ -155,7 +158,7 @@ fn any_recipe() -> impl Strategy<Value = Recipe> {
                 }
                 Place::Globe(..) => (cols.next_multiple_of(16), rows.max(3)),
             };
-            Recipe { place, size: (rows, cols), step, page_side, relief, holes, seed }
+            Recipe { place, size: (rows, cols), step, page_side, relief, holes, seed, mip }
         },
     )
 }
@@ -183,6 +186,7 @@ fn a_missing_tap_between_two_levels_breaks_no_bound() {
         relief: Relief::Coarse(2),
         holes: Holes::Coarse(1),
         seed: 3_205_179_033_394_929_033,
+        mip: MipRule::Mean,
     };
     let raster = recipe.raster().unwrap();
     assert_lawful(&raster.archive(recipe.page_side), &raster);

@@ -55,7 +55,7 @@ fn leaves(archive: &Archive, step: Option<(f64, f64)>) -> Raster {
     }
     let (origin, pixel_size) = (description.grid.origin(), description.grid.pixel_size());
     let outline = Outline { origin, pixel_size, width: extent.width, height: extent.height };
-    Raster { shape, outline, planes, step, codes: Codes::Colors }
+    Raster { shape, outline, planes, step, codes: Codes::Colors, mip: description.mip }
 }
 
 /// Ingests a raster onto other grids, and holds every one against the laws; returns the archives.
@@ -65,9 +65,9 @@ fn check(raster: &Raster, samples: Samples, step: Option<(f64, f64)>) -> Vec<Arc
     let mut archives = Vec::new();
     for options in [
         &["--grid", "polar-north", "--kernel", "spline"][..],
-        &["--grid", "polar-south", "--kernel", "bilinear"],
+        &["--grid", "polar-south", "--kernel", "bilinear", "--mip", "kaiser"],
         &["--grid", "equirectangular", "--pixel-size-m", "700000", "--kernel", "average"],
-        &["--pixel-size-m", "230000", "--kernel", "cubic", "--limit-range"],
+        &["--pixel-size-m", "230000", "--kernel", "cubic", "--limit-range", "--mip", "kaiser"],
     ] {
         let catalog = folder.path().join(format!("catalog {}", archives.len()));
         ingest(&catalog, &file, &[options, &["--page-size", "18"]].concat());

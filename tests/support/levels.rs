@@ -4,6 +4,8 @@
 //! Levels are counted in *halvings*: 0 is the finest. A level of k halvings has texels of 2^k
 //! finest texels. Whatever is asked outside a level is its extension.
 
+use areoid_formats::archive::MipRule;
+
 use super::raster::{Codes, Raster};
 
 /// What lies past an edge of a level.
@@ -61,8 +63,11 @@ impl Levels {
             Level { width: shape.width, height: shape.height, planes, coverage: Vec::new() };
         finest.coverage = feather(shape, &finest.planes[0]);
         let mut made = Self { shape, step: raster.step, codes: raster.codes, levels: vec![finest] };
-        for _ in 0..halvings {
-            let coarser = made.halved(made.levels.last().unwrap());
+        for halvings in 0..halvings {
+            let mut coarser = made.halved(&made.levels[halvings]);
+            if raster.mip == MipRule::Kaiser {
+                made.low_pass(halvings, &mut coarser);
+            }
             made.levels.push(coarser);
         }
         made
@@ -106,6 +111,44 @@ impl Levels {
             };
         }
         Level { width, height, planes, coverage }
+    }
+
+    /// Puts in place of means what the words on the Kaiser rule say, wherever they apply.
+    fn low_pass(&self, halvings: usize, coarser: &mut Level) {
+        for row in 0..coarser.height {
+            for col in 0..coarser.width {
+                let [rows, cols] = [row, col].map(|at| 2 * at as i64 - 5..=2 * at as i64 + 6);
+                let around = || rows.clone().flat_map(|r| cols.clone().map(move |c| (r, c)));
+                if around().any(|(row, col)| self.coverage(halvings, row, col) == 0) {
+                    continue;
+                }
+                let channels = coarser.planes.len();
+                for channel in 0..channels {
+                    let texel = |(row, col)| self.texel(halvings, channel, row, col);
+                    let least = around().map(texel).fold(f32::INFINITY, f32::min);
+                    let greatest = around().map(texel).fold(f32::NEG_INFINITY, f32::max);
+                    let is_light = channels == 3 && self.codes == Codes::Colors;
+                    let sums: Vec<f64> = rows
+                        .clone()
+                        .map(|row| cols.clone().map(|col| f64::from(texel((row, col)))).collect())
+                        .map(|row: Vec<f64>| match is_light {
+                            true => row.into_iter().map(|code| units(code, WHITE) as f64).collect(),
+                            false => row,
+                        })
+                        .map(|row| weighted(&row))
+                        .collect();
+                    let sum = weighted(&sums);
+                    let nearest = match self.step {
+                        _ if is_light => code_of((4.0 * sum).floor() as i64),
+                        _ if channels == 3 => sum.round_ties_even() as f32,
+                        Some(step) => on_step(sum, step),
+                        None => sum as f32,
+                    };
+                    coarser.planes[channel][row * coarser.width + col] =
+                        nearest.clamp(least, greatest);
+                }
+            }
+        }
     }
 
     fn mean(&self, valid: &[f64], channels: usize) -> f32 {
@@ -203,14 +246,30 @@ pub(crate) fn on_step(value: f64, (step, offset): (f64, f64)) -> f32 {
     (((value - offset) / step).round_ties_even() * step + offset) as f32
 }
 
+/// Twelve values, weighted, from the outermost pair inward.
+fn weighted(values: &[f64]) -> f64 {
+    let weights = [56.0, 189.0, -461.0, -985.0, 2133.0, 7260.0];
+    let pair = |at: usize| weights[at] / 16384.0 * (values[at] + values[11 - at]);
+    (1..6).fold(pair(0), |sum, at| sum + pair(at))
+}
+
+const WHITE: f64 = ((1 << 22) - 1) as f64;
+
+/// The light of a code, or between two, where white has so much.
+fn units(code: f64, white: f64) -> i64 {
+    (white * light_of_code(code)).round() as i64
+}
+
 /// The mean of codes in the whole numbers of FORMAT.md.
 fn mean_of_colors(codes: &[f64]) -> f32 {
-    let light = |code: f64, white: f64| (white * light_of_code(code)).round() as u64;
-    let white = f64::from((1 << 22) - 1);
-    let lights: u64 = codes.iter().map(|&code| light(code, white)).sum();
-    let sum = 4 * lights / codes.len() as u64;
-    let passed = (0..255_u16).filter(|&code| light(f64::from(code) + 0.5, 4.0 * white) <= sum);
-    passed.count() as f32
+    let lights: i64 = codes.iter().map(|&code| units(code, WHITE)).sum();
+    code_of(4 * lights / codes.len() as i64)
+}
+
+/// The code of four times so much light.
+fn code_of(four_lights: i64) -> f32 {
+    let passed = |&code: &u16| units(f64::from(code) + 0.5, 4.0 * WHITE) <= four_lights;
+    (0..255_u16).filter(passed).count() as f32
 }
 
 fn light_of_code(code: f64) -> f64 {

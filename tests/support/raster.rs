@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use areoid_formats::address::PageAddress;
-use areoid_formats::archive::{Archive, Description, Source};
+use areoid_formats::archive::{Archive, Description, MipRule, Source};
 use areoid_formats::body::Body;
 use areoid_formats::codec::Quantum;
 use areoid_formats::grid::{Grid, GridError, Outline};
@@ -31,6 +31,8 @@ pub(crate) struct Raster {
     pub(crate) step: Option<(f64, f64)>,
     /// What three planes are.
     pub(crate) codes: Codes,
+    /// How coarser texels are made.
+    pub(crate) mip: MipRule,
 }
 
 /// What codes stand for, and so how they are averaged.
@@ -65,7 +67,14 @@ impl Raster {
             Place::Globe(north, south) => (true, north, south),
         };
         let shape = Shape { width: cols, height: rows, wraps, north, south };
-        Self { shape, outline: outline(shape), planes: vec![plane], step, codes: Codes::Colors }
+        Self {
+            shape,
+            outline: outline(shape),
+            planes: vec![plane],
+            step,
+            codes: Codes::Colors,
+            mip: MipRule::Mean,
+        }
     }
 
     /// The grid, or why there is none.
@@ -98,6 +107,7 @@ impl Raster {
             // Small units make the schedule meet its own edges in small rasters too.
             unit_pages: 2,
             resampling: None,
+            mip: self.mip,
             source: Source::default(),
         };
         let (interior, whole) = (page_side as usize - 2, is_whole(self));

@@ -49,7 +49,7 @@ fn damage_that_stays_is_nothing_to_go_on_with() {
     let picks: [fn(&[u64]) -> u64; 2] = [|strips| strips[0], |strips| strips[strips.len() - 1]];
     for pick in picks {
         let home = TempDir::new().unwrap();
-        let subject = Subject { raster: damaged(&home, pick), step_m: None };
+        let subject = Subject::new(damaged(&home, pick));
         let catalog = home.path().join("catalog");
         for options in [&["--note-every-s", "0"][..], &["--resume"]] {
             let told = rig::assert_told(&subject.command(&catalog, options).output().unwrap());

@@ -8,6 +8,7 @@ use std::process::{Command, Output, Stdio};
 use std::sync::LazyLock;
 use std::time::Duration;
 
+use areoid_formats::archive::MipRule;
 use areoid_formats::catalog::{Catalog, CatalogError, RealDisk};
 use areoid_preprocess::build::Proceed;
 use areoid_preprocess::ingest::{
@@ -34,6 +35,7 @@ pub(crate) const UNIT: usize = 8 * (PAGE as usize - 2);
 pub(crate) struct Subject {
     pub(crate) raster: PathBuf,
     pub(crate) step_m: Option<f64>,
+    pub(crate) mip: MipRule,
 }
 
 /// Whether this is the long form.
@@ -60,7 +62,8 @@ fn globe(units: usize, mut value: impl FnMut(f64) -> f32) -> Raster {
     })
 }
 
-/// Rasters of heights, of heights to be put on a step, and of colors.
+/// Rasters of heights, of heights to be put on a step, of colors, and of heights whose parents look
+/// farther than their children.
 pub(crate) struct Subjects {
     _folder: TempDir,
     pub(crate) all: Vec<Subject>,
@@ -79,13 +82,14 @@ impl Subjects {
         let write = |raster: &Raster, samples, name: &str| {
             Writing::of(raster, samples).write(raster, folder.path(), name)
         };
+        let heights = write(&heights, Samples::Float32, "heights.tif");
+        let rough = write(&rough, Samples::Int16(-9999), "rough.tif");
+        let colors = write(&colors, Samples::Color, "colors.tif");
         let all = vec![
-            Subject { raster: write(&heights, Samples::Float32, "heights.tif"), step_m: None },
-            Subject {
-                raster: write(&rough, Samples::Int16(-9999), "rough.tif"),
-                step_m: Some(7.5),
-            },
-            Subject { raster: write(&colors, Samples::Color, "colors.tif"), step_m: None },
+            Subject::new(heights),
+            Subject { step_m: Some(7.5), ..Subject::new(rough.clone()) },
+            Subject::new(colors),
+            Subject { step_m: Some(1.0), mip: MipRule::Kaiser, ..Subject::new(rough) },
         ];
         Self { _folder: folder, all }
     }
@@ -107,7 +111,7 @@ impl Tiny {
         let raster = Raster::new(poles, (60, 120), None, height);
         let writing = Writing::of(&raster, Samples::Float32);
         let raster = writing.write(&raster, folder.path(), &format!("{name}.tif"));
-        Self { _folder: folder, subject: Subject { raster, step_m: None } }
+        Self { _folder: folder, subject: Subject::new(raster) }
     }
 }
 
@@ -115,13 +119,21 @@ impl Tiny {
 pub(crate) static SMALL: LazyLock<Subjects> = LazyLock::new(|| Subjects::new(2));
 
 impl Subject {
+    /// Losslessly, by the mean.
+    pub(crate) fn new(raster: PathBuf) -> Self {
+        Self { raster, step_m: None, mip: MipRule::Mean }
+    }
+
     /// `areoid ingest` of this into `catalog`.
     pub(crate) fn command(&self, catalog: &Path, options: &[&str]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_areoid"));
         command.arg("ingest").arg(&self.raster).arg("--catalog").arg(catalog);
         command.arg("--json");
         let (page, step) = (PAGE.to_string(), self.step_m.unwrap_or_default().to_string());
-        for (option, value) in [("--page-size", &*page), ("--name", NAME), ("--step-m", &step)] {
+        let mip = self.mip.name();
+        for (option, value) in
+            [("--page-size", &*page), ("--name", NAME), ("--step-m", &step), ("--mip", mip)]
+        {
             if !options.contains(&option) {
                 command.args([option, value]);
             }
@@ -154,6 +166,7 @@ impl Subject {
             pixel_size: None,
             kernel: Kernel::QuinticSpline,
             limit: RangeLimit::None,
+            mip: self.mip,
             page_side: PAGE,
             priority: 0,
             threads: Some(2),

@@ -1,5 +1,6 @@
 //! The same bytes for any threads and memory; nothing to do for the same input; memory is bounded.
 
+use areoid_formats::archive::MipRule;
 use areoid_formats::catalog::Catalog;
 use tempfile::TempDir;
 
@@ -47,10 +48,12 @@ fn the_same_input_again_is_nothing_to_do() {
     assert!(String::from_utf8_lossy(rig::stdout(&said)).contains("nothing to do"), "{said:?}");
     assert_eq!(Catalog::open(catalog.path()).unwrap().generation(), generation);
 
-    // Another step is another dataset, which needs to be asked for.
-    let told = subject.command(catalog.path(), &["--step-m", "9"]);
-    let told = rig::assert_told(&{ told }.output().unwrap());
-    assert!(told.contains("--force"), "{told}");
+    // Another step is another dataset, which needs to be asked for; so is another rule.
+    for options in [["--step-m", "9"], ["--mip", "kaiser"]] {
+        let told = subject.command(catalog.path(), &options).output().unwrap();
+        let told = rig::assert_told(&told);
+        assert!(told.contains("--force"), "{told}");
+    }
     rig::assert_whole(catalog.path(), &archive, "after a refusal");
 }
 
@@ -70,8 +73,8 @@ fn memory_is_bounded_whatever_the_frontier() {
         }
     });
     let path = Writing::of(&raster, Samples::Float32).write(&raster, folder.path(), "belt.tif");
-    let subject = Subject { raster: path, step_m: None };
-    let ingest = |memory: &str| {
+    let ingest = |memory: &str, mip: MipRule| {
+        let subject = Subject { mip, ..Subject::new(path.clone()) };
         let catalog = TempDir::new().unwrap();
         let options =
             ["--page-size", "64", "--memory-mib", memory, "--threads", "2", "--note-every-s", "1"];
@@ -82,11 +85,11 @@ fn memory_is_bounded_whatever_the_frontier() {
         let warning = said.lines().find(|line| line.starts_with("warning: ")).map(str::to_owned);
         (summary["peak_memory_bytes"].as_u64().unwrap(), rig::archive(catalog.path()), warning)
     };
-    let (plenty, expected, _) = ingest("4096");
-    let (little, bytes, warning) = ingest("64");
+    let (plenty, expected, _) = ingest("4096", MipRule::Mean);
+    let (little, bytes, warning) = ingest("64", MipRule::Mean);
     assert_eq!(warning, None);
     // Less than it can do with is told, with what it can do with.
-    let (least, the_same, warning) = ingest("1");
+    let (least, the_same, warning) = ingest("1", MipRule::Mean);
     let wanted = warning.as_deref().and_then(|warning| {
         let wanted =
             warning.strip_prefix("warning: two work units need more than --memory-mib 1: ");
@@ -94,13 +97,18 @@ fn memory_is_bounded_whatever_the_frontier() {
     });
     let wanted: u64 = wanted.unwrap_or_else(|| panic!("{warning:?}")).parse().unwrap();
     assert!(the_same == expected);
-    assert_eq!(ingest(&wanted.to_string()).2, None, "{wanted} MiB");
+    assert_eq!(ingest(&wanted.to_string(), MipRule::Mean).2, None, "{wanted} MiB");
     println!("peak {} MiB with plenty, {} MiB of 64", plenty >> 20, little >> 20);
     assert!(bytes == expected);
+    let (around, bytes, warning) = ingest("64", MipRule::Kaiser);
+    assert_eq!(warning, None);
+    println!("peak {} MiB of 64 where parents look around", around >> 20);
+    assert!(bytes == ingest("4096", MipRule::Kaiser).1 && bytes != expected);
     // Where the system does not tell, there is nothing to compare.
     if cfg!(target_os = "linux") {
         assert!(plenty > 66 << 20, "{plenty}: nothing had to go to the scratch file");
         assert!(little < 64 << 20, "{little}");
+        assert!(around < 64 << 20, "{around}");
         assert!(least < wanted << 20, "{least} bytes, {wanted} MiB were said to do");
     }
 }

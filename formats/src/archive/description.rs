@@ -37,6 +37,41 @@ pub struct Description {
     /// How its leaves were made of pixels of another grid; `None` where they are the pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resampling: Option<Resampling>,
+    /// How its coarser texels were made of finer ones.
+    #[serde(default, skip_serializing_if = "MipRule::is_mean")]
+    pub mip: MipRule,
+}
+
+/// How the texels of a level are made of those of the next finer one. A reader need not know: bounds
+/// hold for any.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MipRule {
+    /// The mean of two by two.
+    #[default]
+    Mean,
+    /// A low-pass over twelve by twelve, Kaiser's window on a sinc; the mean beside holes.
+    Kaiser,
+    /// One that a later version has.
+    #[serde(other)]
+    Unknown,
+}
+
+impl MipRule {
+    /// Its name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Mean => "mean",
+            Self::Kaiser => "kaiser",
+            Self::Unknown => "unknown",
+        }
+    }
+
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+    fn is_mean(&self) -> bool {
+        *self == Self::Mean
+    }
 }
 
 /// How leaves were made of the pixels of another grid.

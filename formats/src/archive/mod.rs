@@ -14,7 +14,9 @@ mod tail;
 mod writer;
 
 pub use audit::record_range;
-pub use description::{Description, LevelSummary, Resampling, Source, SourceFile, Summary};
+pub use description::{
+    Description, LevelSummary, MipRule, Resampling, Source, SourceFile, Summary,
+};
 pub use entry::{ConstantTexel, ENTRY_LEN, PageEntry, Payload, payload_checksum};
 pub use error::ArchiveError;
 pub use reader::{Archive, decode_page};

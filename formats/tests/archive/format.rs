@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use areoid_formats::address::PageKey;
 use areoid_formats::archive::layout::Trailer;
-use areoid_formats::archive::{Archive, Description, PageEntry, Payload, index, payload_checksum};
+use areoid_formats::archive::{
+    Archive, Description, MipRule, PageEntry, Payload, index, payload_checksum,
+};
 use areoid_formats::codec::Quantum;
 use areoid_formats::page::Kind;
 use xxhash_rust::xxh3::xxh3_64;
@@ -229,4 +231,25 @@ fn the_description_shown_reads_and_writes() {
     archive.end_unit().unwrap();
     let (bytes, _) = archive.finish().unwrap();
     assert!(Archive::open(Box::new(bytes)).unwrap().damage().unwrap().is_empty());
+}
+
+#[test]
+fn a_rule_for_coarser_texels_is_named_and_need_not_be_known() {
+    let (_, example) = FORMAT.split_once("```json\n").unwrap();
+    let (example, _) = example.split_once("```").unwrap();
+    let read = |json: &str| Description::from_json(json.as_bytes()).unwrap();
+    let shown = read(example);
+    assert_eq!(shown.mip, MipRule::Mean);
+    assert!(!String::from_utf8(shown.to_json()).unwrap().contains("mip"));
+    for (name, rule) in
+        [("mean", MipRule::Mean), ("kaiser", MipRule::Kaiser), ("median", MipRule::Unknown)]
+    {
+        let with = |member: &str| example.replacen('{', &format!("{{{member},"), 1);
+        let found = read(&with(&format!(r#""mip":"{name}""#)));
+        assert_eq!(found, Description { mip: rule, ..shown.clone() });
+        if rule != MipRule::Unknown {
+            assert_eq!(found.mip.name(), name);
+            assert_eq!(Description::from_json(&found.to_json()).unwrap(), found);
+        }
+    }
 }

@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex};
 
 use areoid_formats::address::{PageAddress, PageKey};
 use areoid_formats::archive::{
-    Archive, ArchiveWriter, ConstantTexel, Description, PageEntry, Payload, Source, SourceFile,
-    Written,
+    Archive, ArchiveWriter, ConstantTexel, Description, MipRule, PageEntry, Payload, Source,
+    SourceFile, Written,
 };
 use areoid_formats::body::Body;
 use areoid_formats::codec::{self, Quantum};
@@ -112,6 +112,7 @@ pub(crate) fn description(plan: Plan) -> Description {
         feather_texels: 32,
         unit_pages: 8,
         resampling: None,
+        mip: MipRule::Mean,
         source: Source {
             files: vec![SourceFile { name: "noise.tif".into(), bytes: 7, xxh3: "0".repeat(32) }],
             nodata: Some("NaN".to_owned()),

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use areoid_formats::address::{Level, PageAddress};
 use areoid_formats::archive::{
-    Archive, ArchiveWriter, ConstantTexel, Description, PageEntry, Payload, Source,
+    Archive, ArchiveWriter, ConstantTexel, Description, MipRule, PageEntry, Payload, Source,
 };
 use areoid_formats::body::Body;
 use areoid_formats::catalog::{
@@ -80,6 +80,7 @@ pub(crate) fn description(name: &str) -> Description {
         feather_texels: 32,
         unit_pages: 8,
         resampling: None,
+        mip: MipRule::Mean,
         source: Source::default(),
     }
 }

@@ -16,6 +16,7 @@ use crate::build::{self, Begun, Means, Proceed, Progress, Site, is_of_whole_heig
 use crate::build_error::BuildError;
 use crate::estimate::Estimate;
 use crate::feather::HALO;
+use crate::lowpass;
 use crate::note::Note;
 use crate::once::Overflow;
 use crate::origin::Origin;
@@ -108,7 +109,10 @@ pub(super) fn make_ready(
     tell(watch, Event::Measuring)?;
     let pyramid = description.grid.pyramid();
     let done = begun.map_or(0, |begun| begun.archive.units) as f64;
-    let units = Schedule::new(pyramid, description.unit_pages, HALO).remaining().max(1) as f64;
+    let units =
+        Schedule::new(pyramid, description.unit_pages, HALO, lowpass::reach(description.mip))
+            .remaining()
+            .max(1) as f64;
     let estimate = threads.install(|| {
         let left = 1.0 - done / units;
         let mut go_on = || watch(Event::Measuring);
@@ -163,8 +167,9 @@ fn failed(description: &Description, source: BuildError) -> IngestError {
 }
 
 /// What a step of the build needs beside the pages that wait, in bytes: its leaves and those of the
-/// next unit, the pages fetched and made, with their finest texels where there may be holes, and the
-/// blocks that leaves are cut from.
+/// next unit, the pages fetched and made, with their finest texels where there may be holes and those
+/// around them where parents look farther than their children, and the blocks that leaves are cut
+/// from.
 pub(super) fn step_bytes(description: &Description, origin: &dyn Origin) -> u64 {
     const EVERYTHING_ELSE: u64 = 48 << 20;
     let side = u64::from(description.grid.pyramid().page_side());
@@ -175,5 +180,6 @@ pub(super) fn step_bytes(description: &Description, origin: &dyn Origin) -> u64 
     };
     let unit = u64::from(description.unit_pages).pow(2) * side * side * texel;
     let units = if origin.may_have_holes() { 7 } else { 5 };
-    units * unit + EVERYTHING_ELSE
+    let around = u64::from(lowpass::reach(description.mip) > 0);
+    (units + around) * unit + EVERYTHING_ELSE
 }

@@ -106,6 +106,7 @@ pub(super) fn plan(
                 kernel: request.kernel.name().to_owned(),
                 range_limited: request.limit == RangeLimit::Taps,
             }),
+            mip: request.mip,
         },
         origin,
     };

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use areoid_formats::archive::{ArchiveError, Summary};
+use areoid_formats::archive::{ArchiveError, MipRule, Summary};
 use areoid_formats::catalog::{CatalogError, Existing};
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::grid::Grid;
@@ -40,6 +40,8 @@ pub struct Request {
     pub kernel: Kernel,
     /// Whether those texels keep within the pixels around them.
     pub limit: RangeLimit,
+    /// How coarser texels are made of finer ones.
+    pub mip: MipRule,
     /// Texels along a page's side, border included.
     pub page_side: u32,
     /// Higher covers lower.

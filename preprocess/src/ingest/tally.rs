@@ -7,6 +7,7 @@ use areoid_formats::archive::Description;
 use super::UNIT_PAGES;
 use crate::build::Progress;
 use crate::feather::HALO;
+use crate::lowpass;
 use crate::schedule::Schedule;
 
 /// What the parts that are done add to the progress of one that is not.
@@ -75,5 +76,6 @@ const NONE: Progress = Progress {
 
 /// Work units of a dataset.
 pub(super) fn units(description: &Description) -> usize {
-    Schedule::new(description.grid.pyramid(), UNIT_PAGES, HALO).remaining()
+    Schedule::new(description.grid.pyramid(), UNIT_PAGES, HALO, lowpass::reach(description.mip))
+        .remaining()
 }

@@ -4,8 +4,9 @@ use std::sync::LazyLock;
 
 use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::codec::{self, EncodeError, Quantum, Scratch};
+use areoid_formats::lanes::{greatest, least};
 
-use super::{Mean, Planes, PlanesView, Texel};
+use super::{Mean, Planes, PlanesView, Texel, nearest_within};
 
 impl Texel for u8 {
     const CHANNELS: usize = 3;
@@ -63,6 +64,32 @@ impl Texel for u8 {
         for (out, (&[a, b], &[c, d])) in out.iter_mut().zip(pairs) {
             let [a, b, c, d] = [a, b, c, d].map(|code| light.linear[usize::from(code)]);
             *out = light.code(a + b + c + d);
+        }
+    }
+
+    #[inline(always)]
+    fn linear(texels: &[Self], mean: Mean, out: &mut [f64]) {
+        let light = &*LIGHT;
+        for (out, &code) in out.iter_mut().zip(texels) {
+            *out = match mean {
+                Mean::OfNormals => code.into(),
+                _ => light.linear[usize::from(code)].into(),
+            };
+        }
+    }
+
+    #[inline(always)]
+    fn nearest(sums: &[f64], range: [&[Self]; 2], mean: Mean, out: &mut [Self]) {
+        if mean == Mean::OfNormals {
+            return nearest_within(sums, range, Quantum::NONE, out);
+        }
+        let light = &*LIGHT;
+        let range = range[0].iter().zip(range[1]);
+        for ((out, &sum), (&low, &high)) in out.iter_mut().zip(sums).zip(range) {
+            let within = greatest(least(sum, WHITE.into()), 0.0);
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
+            let code = light.code((4.0 * within) as u32);
+            *out = greatest(least(code, high), low);
         }
     }
 
@@ -178,6 +205,22 @@ mod tests {
             assert_eq!(u8::mean(&[code; 4], Mean::OfColors), code);
             assert_eq!(super::code(light(code)), code);
         }
+    }
+
+    #[test]
+    fn light_that_was_summed_has_the_code_below_it() {
+        let codes = |sums: &[f64], low: u8, high: u8| {
+            let mut out = vec![0; sums.len()];
+            let range = [&vec![low; sums.len()][..], &vec![high; sums.len()][..]];
+            u8::nearest(sums, range, Mean::OfColors, &mut out);
+            out
+        };
+        for code in 0..255_u8 {
+            let next = (4.0 * f64::from(WHITE) * light_of(f64::from(code) + 0.5)).round();
+            assert_eq!(codes(&[(next - 0.25) / 4.0, next / 4.0], 0, 255), [code, code + 1]);
+        }
+        assert_eq!(codes(&[-1e9, 1e9], 0, 255), [0, 255]);
+        assert_eq!(codes(&[-1e9, 1e9], 7, 9), [7, 9]);
     }
 
     proptest! {

@@ -4,7 +4,7 @@ use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::codec::{self, EncodeError, Quantum, Scratch};
 use areoid_formats::lanes;
 
-use super::{Mean, Planes, PlanesView, Texel};
+use super::{Mean, Planes, PlanesView, Texel, nearest_within};
 
 impl Texel for f32 {
     const CHANNELS: usize = 1;
@@ -82,6 +82,11 @@ impl Texel for f32 {
                 *out = Self::stored(sum * 0.25, quantum);
             }
         }
+    }
+
+    #[inline(always)]
+    fn nearest(sums: &[f64], range: [&[Self]; 2], mean: Mean, out: &mut [Self]) {
+        nearest_within(sums, range, mean.quantum(), out);
     }
 
     fn constant(texels: &[Self]) -> ConstantTexel {

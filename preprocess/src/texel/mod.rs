@@ -12,6 +12,7 @@ pub(crate) use self::color::{code, light};
 use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::bound;
 use areoid_formats::codec::{EncodeError, Quantum, Scratch};
+use areoid_formats::lanes::{greatest, least};
 use areoid_formats::page::Kind;
 
 /// A leaf's texels, one plane a channel.
@@ -59,7 +60,7 @@ impl Mean {
     }
 
     /// The step of heights, or none.
-    fn quantum(self) -> Quantum {
+    pub(crate) fn quantum(self) -> Quantum {
         match self {
             Self::OfHeights(quantum) => quantum,
             Self::OfColors | Self::OfNormals => Quantum::NONE,
@@ -105,6 +106,19 @@ pub trait Texel: bound::Texel<Cell: bytemuck::Pod> + bytemuck::Pod + std::fmt::D
     /// [`Self::mean`] of two by two texels, for each pair of columns of two rows.
     fn halve(rows: [&[Self]; 2], mean: Mean, out: &mut [Self]);
 
+    /// What a low-pass sums of each texel, as [`Self::mean`] does: of colors the light, else what it
+    /// stands for. Of an invalid one anything.
+    #[inline(always)]
+    fn linear(texels: &[Self], _: Mean, out: &mut [f64]) {
+        for (out, &texel) in out.iter_mut().zip(texels) {
+            *out = texel.into();
+        }
+    }
+
+    /// The texels nearest such sums, as they are stored, none less than the first or greater than the
+    /// second of `range`, which are valid ones.
+    fn nearest(sums: &[f64], range: [&[Self]; 2], mean: Mean, out: &mut [Self]);
+
     /// The texel of a page that has no other, as its entry stores it.
     fn constant(texels: &[Self]) -> ConstantTexel;
 
@@ -120,6 +134,15 @@ pub trait Texel: bound::Texel<Cell: bytemuck::Pod> + bytemuck::Pod + std::fmt::D
         scratch: &mut Scratch,
         payload: &mut Vec<u8>,
     ) -> Result<(), EncodeError>;
+}
+
+/// [`Texel::nearest`] where what is summed is what texels stand for. They are on the step: so is what
+/// a sum outside their range becomes, and it can be stored.
+#[inline(always)]
+fn nearest_within<S: Texel>(sums: &[f64], [low, high]: [&[S]; 2], quantum: Quantum, out: &mut [S]) {
+    for (((out, &sum), &low), &high) in out.iter_mut().zip(sums).zip(low).zip(high) {
+        *out = S::stored(greatest(least(sum, high.into()), low.into()), quantum);
+    }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use areoid_formats::archive::{ConstantTexel, Description};
 use areoid_formats::codec::{self, EncodeError, Quantum, Scratch};
 
-use super::{Mean, Planes, PlanesView, Texel};
+use super::{Mean, Planes, PlanesView, Texel, nearest_within};
 
 impl Texel for i16 {
     const CHANNELS: usize = 1;
@@ -47,6 +47,11 @@ impl Texel for i16 {
                 *out = ((sum + 1 + (sum >> 2 & 1)) >> 2) as Self;
             }
         }
+    }
+
+    #[inline(always)]
+    fn nearest(sums: &[f64], range: [&[Self]; 2], mean: Mean, out: &mut [Self]) {
+        nearest_within(sums, range, mean.quantum(), out);
     }
 
     fn constant(texels: &[Self]) -> ConstantTexel {

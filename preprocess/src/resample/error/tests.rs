@@ -264,6 +264,7 @@ impl Case {
                 kernel: self.kernel.name().to_owned(),
                 range_limited: self.limit == RangeLimit::Taps,
             }),
+            mip: archive::MipRule::Mean,
         }
     }
 }
