@@ -95,8 +95,7 @@ impl Rough {
 /// A difference that is no number is that of a tap without data.
 #[inline(always)]
 fn is_suspect(off: f32, below: f32) -> bool {
-    // In this order, so that NaN is one.
-    !(off <= below)
+    off.is_nan() || off > below
 }
 
 struct Places<'a> {
