@@ -52,5 +52,5 @@ fn check(raster: &Raster, options: &[&str]) {
         assert!(found.1 == expected.1, "the bytes of the archive with {threads} threads");
     }
     let (_, bytes) = first.unwrap();
-    assert!(bytes.len() > 1 << 17, "an archive of {} bytes tries little", bytes.len());
+    assert!(bytes.len() > 1 << 19, "an archive of {} bytes tries little", bytes.len());
 }

@@ -244,15 +244,15 @@ fn publish(
     plan: &Plan,
     standing: Vec<Standing<'_>>,
 ) -> Result<u64, IngestError> {
-    let archives = plan.parts.iter().zip(standing).filter_map(|(part, standing)| {
+    let archives = plan.parts.iter().zip(standing).map(|(part, standing)| {
         let (finished, archive) = match standing {
             Standing::InPlace(archive, content) => (Finished::InPlace, (archive.len(), content)),
             Standing::Build(underway) => {
-                let written = underway.written?;
+                let written = underway.written.expect("parts are written before any is published");
                 (Finished::Build(underway.build), (written.bytes, written.content))
             }
         };
-        Some((finished, dataset(request, plan, part, archive)))
+        (finished, dataset(request, plan, part, archive))
     });
     publish_archives(disk, &request.catalog, archives.collect()).map_err(|error| match error {
         // Another change has swept what stood in its place: the builds beside it are left.

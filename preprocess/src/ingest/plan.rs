@@ -133,6 +133,7 @@ fn origins(
         let pixels = kind_of_pixels(kind);
         let leaves = Resampler::new(grid, layout, placement, pixels, resampling)?;
         let leaves = if is_rounded { leaves } else { leaves.unrounded() };
+        let leaves = if kind == Kind::Normal { leaves.unmeasured() } else { leaves };
         Ok(of_kind(kind, Box::new(leaves)))
     };
     let map = match request.grid {

@@ -6,6 +6,12 @@
 //!
 //! The way from pixels to texels says it, so nothing is missed between texels or past the last of
 //! them. It is a function of the grids: uses of blocks are counted by it before anything is read.
+//!
+//! # Precision
+//!
+//! A rectangle of pixels is left away where [`Transform::range`] says that it lies beside the leaf:
+//! a bound, but between polar maps about opposite poles, or on different surfaces, where it is
+//! estimated from places on the rectangle's rim. A pixel that such an estimate misses is not measured.
 
 use std::ops::Range;
 

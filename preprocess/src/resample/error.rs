@@ -1,13 +1,17 @@
 //! How far the reconstruction of a finished leaf is from the pixels it was made of.
 //!
 //! ```text
-//!   pixels beneath it ─▶ their places among the texels ─▶ four taps each ─▶ |R_L - pixel|
+//!   pixels beneath it ─▶ their places among the texels ─▶ roughly |R_L - pixel| ─▶ four taps each,
+//!                                                         larger than any before?   |R_L - pixel|
 //! ```
 //!
 //! # Precision
 //!
 //! A place is known to [`Transform::bound_px`], so that the error found may be too small by what
-//! `R_L` changes over that: it is added.
+//! `R_L` changes over that: it is added. What is rough decides only who is looked at again.
+//! All of the pixels beneath a leaf are looked at as far as [`super::beneath`] finds them.
+
+mod rough;
 
 use std::cell::RefCell;
 
@@ -17,8 +21,9 @@ use areoid_formats::lanes;
 use areoid_formats::page::Kind;
 use areoid_formats::pyramid::Pyramid;
 
+use self::rough::{Rough, Slack};
 use super::beneath::Interior;
-use super::source::{Pixels, Rect, Source};
+use super::source::{Patch, Rect, Source};
 use super::tile::{Coords, TargetTile};
 use super::transform::Transform;
 use crate::raster::RasterError;
@@ -35,13 +40,12 @@ const ROUNDING_PX: f64 = 1.0 / (1_u64 << 29) as f64;
 #[derive(Debug, Default)]
 struct Room {
     coords: Coords,
-    heights: Vec<f32>,
-    codes: [Vec<u8>; 3],
-    alpha: Vec<u8>,
+    patch: Patch,
+    rough: Rough,
 }
 
 /// The largest |`R_L` - pixel| at the pixels' centers in `rects`, where all that `R_L` is made of
-/// is valid: meters, or codes of the channel that is off the most. Not less than it is.
+/// is valid: meters, or codes of the channel that is off the most. Not less than that is.
 ///
 /// # Errors
 ///
@@ -58,50 +62,68 @@ pub(super) fn source_error(
         static ROOM: RefCell<Room> = RefCell::default();
     }
     let interior = Interior::of(pyramid, page);
+    let texels = Texels::of(leaf);
+    let slack = Slack::new(texels.range, leaf.coverage.is_some());
+    // Less than any distance: nothing was found.
+    let mut largest = f64::NEG_INFINITY;
     ROOM.with_borrow_mut(|room| {
-        let mut largest: Option<f64> = None;
         for rect in rects {
-            room.read(source, rect)?;
+            room.patch.read(source, rect)?;
             for tile in back.tiles(wide(&rect.rows), wide(&rect.cols)) {
                 if !interior.may_meet(back, tile) {
                     continue;
                 }
-                back.coords(tile, &mut room.coords);
+                back.places(tile, &mut room.coords);
                 let period = back.source().period_px().filter(|_| back.source().wraps);
                 for turn in interior.turns(room.coords.range, period) {
-                    let place = Place { page: leaf, interior: &interior, turn, rect, tile };
-                    if let Some(error) = room.error(source.kind(), &place) {
-                        largest = Some(largest.map_or(error, |largest| largest.max(error)));
-                    }
+                    let place = Place { page: leaf, interior: &interior, turn, rect, tile, slack };
+                    largest = room.largest(source.kind(), &place, largest);
                 }
             }
         }
-        let Some(largest) = largest else { return Ok(0.0) };
-        let relief = (4.0 * back.bound_px() + ROUNDING_PX) * spread(leaf);
-        Ok(bound::rounded_up(largest + relief))
-    })
+        Ok(())
+    })?;
+    if largest == f64::NEG_INFINITY {
+        return Ok(0.0);
+    }
+    let relief = (4.0 * back.bound_px() + ROUNDING_PX) * texels.spread;
+    Ok(bound::rounded_up(largest + relief))
 }
 
 fn wide(range: &std::ops::Range<u32>) -> std::ops::Range<i64> {
     i64::from(range.start)..i64::from(range.end)
 }
 
-/// How far the valid texels of a page lie apart.
-fn spread(leaf: &Closed<'_>) -> f64 {
-    fn of<S: Texel>(planes: &[&[S]], coverage: Option<&[u8]>) -> f64 {
-        let spread = |plane: &&[S]| {
+/// The valid texels of a page.
+struct Texels {
+    /// The least and the greatest of any channel.
+    range: [f64; 2],
+    /// How far those of one channel lie apart.
+    spread: f64,
+}
+
+impl Texels {
+    fn of(leaf: &Closed<'_>) -> Self {
+        match leaf.planes {
+            PlanesView::Height(plane) => Self::of_planes(&[plane], leaf.coverage),
+            PlanesView::WholeHeight(plane) => Self::of_planes(&[plane], leaf.coverage),
+            PlanesView::Color(planes) => Self::of_planes(&planes, leaf.coverage),
+        }
+    }
+
+    fn of_planes<S: Texel>(planes: &[&[S]], coverage: Option<&[u8]>) -> Self {
+        let nothing = Self { range: [f64::INFINITY, f64::NEG_INFINITY], spread: 0.0 };
+        planes.iter().fold(nothing, |Self { range, spread }, plane| {
             let (least, most) = match coverage {
                 None => lanes::extremes(plane, S::NOTHING),
                 Some(codes) => lanes::covered_extremes(plane, codes, S::NOTHING),
             };
-            Into::<f64>::into(most) - least.into()
-        };
-        planes.iter().map(spread).fold(0.0, f64::max)
-    }
-    match leaf.planes {
-        PlanesView::Height(plane) => of(&[plane], leaf.coverage),
-        PlanesView::WholeHeight(plane) => of(&[plane], leaf.coverage),
-        PlanesView::Color(planes) => of(&planes, leaf.coverage),
+            let [least, most]: [f64; 2] = [least.into(), most.into()];
+            Self {
+                range: [range[0].min(least), range[1].max(most)],
+                spread: spread.max(most - least),
+            }
+        })
     }
 }
 
@@ -114,118 +136,136 @@ struct Place<'a> {
     /// What was read.
     rect: &'a Rect,
     tile: TargetTile,
+    slack: Slack,
+}
+
+impl Place<'_> {
+    /// The center of the window's first texel, the one before the interior's: column and row.
+    fn corner(&self) -> [f64; 2] {
+        let Interior { cols, rows } = self.interior;
+        [cols[0] + self.turn, rows[0]].map(f64::round)
+    }
+
+    /// Whether a place lies in the interior.
+    fn holds(&self, u: f64, v: f64) -> bool {
+        let Interior { cols: [first, last], rows } = *self.interior;
+        first + self.turn <= u && u <= last + self.turn && rows[0] <= v && v <= rows[1]
+    }
+
+    /// Where the first pixel of the tile lies in what was read.
+    fn first_pixel(&self) -> Option<usize> {
+        let from = |start: i64, first: u32| usize::try_from(start - i64::from(first)).ok();
+        let row = from(self.tile.row, self.rect.rows.start)?;
+        Some(row * self.rect.cols.len() + from(self.tile.col, self.rect.cols.start)?)
+    }
 }
 
 impl Room {
-    /// Reads the pixels of a rectangle.
-    fn read(&mut self, source: &dyn Source, rect: &Rect) -> Result<(), RasterError> {
-        let (cols, rows) = (rect.cols.len(), rect.rows.len());
-        match source.kind() {
-            Kind::Height => {
-                self.heights.clear();
-                self.heights.resize(cols * rows, f32::NAN);
-                source.read(rect, Pixels::Heights(&mut self.heights), cols)
-            }
-            Kind::Color | Kind::Normal => {
-                self.codes.iter_mut().for_each(|plane| plane.resize(cols * rows, 0));
-                self.alpha.clear();
-                self.alpha.resize(cols * rows, 0);
-                let planes = self.codes.each_mut().map(|plane| &mut plane[..]);
-                source.read(rect, Pixels::Colors { planes, alpha: &mut self.alpha }, cols)
-            }
-        }
-    }
-
-    /// The largest error of a tile; `None` if no pixel of it counts.
-    fn error(&self, kind: Kind, place: &Place<'_>) -> Option<f64> {
-        let has_height = |at: usize| !self.heights[at].is_nan();
-        let has_color = |at: usize| self.alpha[at] != 0;
-        let [red, green, blue] = &self.codes;
+    /// The largest error of a tile, or what was found before if that is larger.
+    fn largest(&mut self, kind: Kind, place: &Place<'_>, before: f64) -> f64 {
+        let Self { coords, patch: Patch { heights, codes, alpha }, rough } = self;
+        let [red, green, blue] = codes;
+        let has_height = |at: usize| !heights[at].is_nan();
+        let has_color = |at: usize| alpha[at] != 0;
         match (kind, place.page.planes) {
             (Kind::Height, PlanesView::Height(plane)) => {
-                self.largest(place, [plane], [&self.heights], has_height)
+                largest(place, coords, rough, ([plane], [heights], &has_height), before)
             }
             (Kind::Height, PlanesView::WholeHeight(plane)) => {
-                self.largest(place, [plane], [&self.heights], has_height)
+                largest(place, coords, rough, ([plane], [heights], &has_height), before)
             }
             (_, PlanesView::Color(planes)) => {
-                self.largest(place, planes, [red, green, blue], has_color)
+                largest(place, coords, rough, (planes, [red, green, blue], &has_color), before)
             }
-            _ => None,
+            _ => before,
         }
     }
+}
 
-    /// The largest error of a tile over its channels.
-    fn largest<T: Copy + Into<f64>, P: Copy + Into<f64>, const CHANNELS: usize>(
-        &self,
-        place: &Place<'_>,
-        planes: [&[T]; CHANNELS],
-        pixels: [&[P]; CHANNELS],
-        has: impl Fn(usize) -> bool,
-    ) -> Option<f64> {
-        let Place { page, interior: Interior { cols, rows }, turn, rect, tile } = place;
-        let (side, stride) = (page.side, rect.cols.len());
-        let from = |start: i64, first: u32| usize::try_from(start - i64::from(first));
-        let (row, col) =
-            (from(tile.row, rect.rows.start).ok()?, from(tile.col, rect.cols.start).ok()?);
-        // The center of the window's first texel, the one before the interior's.
-        let [left, top] = [cols[0] + turn, rows[0]].map(f64::round);
-        let cols = cols.map(|edge| edge + turn);
-        let mut largest = f64::NEG_INFINITY;
-        let lines =
-            self.coords.u.chunks_exact(tile.cols).zip(self.coords.v.chunks_exact(tile.cols));
-        for (line, (us, vs)) in lines.enumerate() {
-            let first = (row + line) * stride + col;
-            for (pixel, (&u, &v)) in (first..).zip(us.iter().zip(vs)) {
-                let beneath = cols[0] <= u && u <= cols[1] && rows[0] <= v && v <= rows[1];
-                if !beneath || !has(pixel) {
-                    continue;
-                }
-                let (x, y) = (u - left, v - top);
-                #[expect(
-                    clippy::cast_possible_truncation,
-                    clippy::cast_sign_loss,
-                    reason = "places in a window"
-                )]
-                let (across, down) = (x as u32, y as u32);
-                let (right, below) = (x - f64::from(across), y - f64::from(down));
-                let at = down as usize * side + across as usize;
-                let weights = match page.coverage {
-                    None => None,
-                    Some(codes) if taps(at, side).iter().all(|&tap| codes[tap] != 0) => None,
-                    Some(codes) => match weights(codes, at, side, right, below) {
-                        Some(weights) => Some(weights),
-                        None => continue,
-                    },
-                };
-                for (plane, samples) in planes.iter().zip(pixels) {
-                    let [upper, lower] = [at, at + side].map(|at| {
-                        let taps = &plane[at..at + 2];
-                        [taps[0].into(), taps[1].into()]
-                    });
-                    let value = match weights {
-                        None => {
-                            let [upper, lower] =
-                                [upper, lower].map(|[one, other]| one + (other - one) * right);
-                            upper + (lower - upper) * below
-                        }
-                        Some([a, b, c, d]) => {
-                            // What is invalid may be no number.
-                            let part = |weight: f64, tap: f64| {
-                                if weight > 0.0 { weight * tap } else { 0.0 }
-                            };
-                            part(a, upper[0])
-                                + part(b, upper[1])
-                                + part(c, lower[0])
-                                + part(d, lower[1])
-                        }
-                    };
-                    largest = largest.max((value - samples[pixel].into()).abs());
-                }
+/// Texels, the pixels they are held against, and whether one has data.
+type Channels<'a, T, P, const CHANNELS: usize> =
+    ([&'a [T]; CHANNELS], [&'a [P]; CHANNELS], &'a dyn Fn(usize) -> bool);
+
+/// The largest error of a tile over its channels, or what was found before if that is larger.
+fn largest<T, P, const CHANNELS: usize>(
+    place: &Place<'_>,
+    coords: &Coords,
+    rough: &mut Rough,
+    (planes, pixels, has): Channels<'_, T, P, CHANNELS>,
+    before: f64,
+) -> f64
+where
+    T: Copy + Default + Into<f32> + Into<f64>,
+    P: Copy + Into<f32> + Into<f64>,
+{
+    let (Some(first), corner) = (place.first_pixel(), place.corner()) else { return before };
+    let (side, stride, cols) = (place.page.side, place.rect.cols.len(), place.tile.cols);
+    let mut largest = before;
+    for (line, (us, vs)) in coords.u.chunks_exact(cols).zip(coords.v.chunks_exact(cols)).enumerate()
+    {
+        let holds = |at: usize| place.holds(us[at], vs[at]);
+        let Some(start) = (0..cols).find(|&at| holds(at)) else { continue };
+        let end = (start..cols).rev().find(|&at| holds(at)).map_or(cols, |last| last + 1);
+        let (us, vs) = (&us[start..end], &vs[start..end]);
+        let first = first + line * stride + start;
+        let row = pixels.map(|samples| &samples[first..first + us.len()]);
+        rough.compare([us, vs], corner, (planes, side), row);
+        for pixel in rough.suspects(place.slack, largest) {
+            if !(place.holds(us[pixel], vs[pixel]) && has(first + pixel)) {
+                continue;
+            }
+            let at = [us[pixel] - corner[0], vs[pixel] - corner[1]];
+            let value = pixels.map(|samples| samples[first + pixel].into());
+            if let Some(error) = error(place.page, planes, at, value) {
+                largest = largest.max(error);
             }
         }
-        (largest >= 0.0).then_some(largest)
     }
+    largest
+}
+
+/// How far `R_L` is from a pixel at a place among the texels of a page, its column first; `None`
+/// where taps without data weigh something.
+fn error<T: Copy + Into<f64>, const CHANNELS: usize>(
+    page: &Closed<'_>,
+    planes: [&[T]; CHANNELS],
+    [x, y]: [f64; 2],
+    pixel: [f64; CHANNELS],
+) -> Option<f64> {
+    let side = page.side;
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "places in a window"
+    )]
+    let (across, down) = (x as u32, y as u32);
+    let (right, below) = (x - f64::from(across), y - f64::from(down));
+    let at = down as usize * side + across as usize;
+    let weights = match page.coverage {
+        None => None,
+        Some(codes) if taps(at, side).iter().all(|&tap| codes[tap] != 0) => None,
+        Some(codes) => Some(weights(codes, at, side, right, below)?),
+    };
+    let off = planes.iter().zip(pixel).map(|(plane, pixel)| {
+        let [upper, lower] = [at, at + side].map(|at| {
+            let taps = &plane[at..at + 2];
+            [taps[0].into(), taps[1].into()]
+        });
+        let value = match weights {
+            None => {
+                let [upper, lower] =
+                    [upper, lower].map(|[one, other]: [f64; 2]| one + (other - one) * right);
+                upper + (lower - upper) * below
+            }
+            Some([a, b, c, d]) => {
+                // What is invalid may be no number.
+                let part = |weight: f64, tap: f64| if weight > 0.0 { weight * tap } else { 0.0 };
+                part(a, upper[0]) + part(b, upper[1]) + part(c, lower[0]) + part(d, lower[1])
+            }
+        };
+        (value - pixel).abs()
+    });
+    Some(off.fold(0.0, f64::max))
 }
 
 /// Where the four taps are whose upper left one is at `at`.

@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 
 use areoid_formats::address::PageAddress;
+use areoid_formats::lanes::{self, Wide, vectorized};
 use areoid_formats::page::Kind;
 use areoid_formats::pyramid::PoleContact;
 
@@ -12,7 +13,7 @@ use super::needs::PreparedAt;
 use super::source::Source as _;
 use super::tile::{Coords, TargetTile};
 use super::window::Window;
-use super::{Heights, Resampler};
+use super::{Heights, Held, Resampler};
 use crate::build::Leaves;
 use crate::raster::RasterError;
 use crate::texel::Planes;
@@ -40,13 +41,13 @@ impl Leaves for Resampler {
         thread_local! {
             static ROOM: RefCell<Room> = RefCell::default();
         }
-        let named = self.plan.named(page);
+        let named = &self.plan.needs(page).tiles;
         // Ranges that are estimates may say of parts what they do not of the whole.
         if named.is_empty() {
             return Ok(None);
         }
         let canvas = ROOM.with_borrow_mut(|room| self.canvas(page, room));
-        self.release(&named);
+        self.release(named);
         let canvas = canvas?;
         if canvas.as_ref().is_some_and(|canvas| !canvas.is_finite()) {
             let found = "heights so large that what lies between them is not finite";
@@ -57,7 +58,7 @@ impl Leaves for Resampler {
     }
 
     fn skip(&self, page: PageAddress) {
-        self.release(&self.plan.named(page));
+        self.release(&self.plan.needs(page).tiles);
     }
 
     fn source_error(
@@ -65,13 +66,16 @@ impl Leaves for Resampler {
         page: PageAddress,
         leaf: Option<&Closed<'_>>,
     ) -> Result<Option<f32>, RasterError> {
-        let rects = self.plan.beneath(page);
+        if self.held == Held::AgainstNothing {
+            return Ok(None);
+        }
+        let rects = &self.plan.needs(page).beneath;
         let Some(leaf) = leaf else {
             rects.iter().for_each(|rect| self.rasters.pass(rect));
             return Ok(None);
         };
         let (back, pyramid) = (&self.plan.back, self.plan.grid.pyramid());
-        let found = error::source_error(back, &*self.rasters, pyramid, page, leaf, &rects);
+        let found = error::source_error(back, &*self.rasters, pyramid, page, leaf, rects);
         found.map(Some)
     }
 
@@ -199,11 +203,48 @@ impl Canvas {
 
 /// Heights rounded to whole meters, ties to even; 0 where invalid.
 fn whole(heights: &[f32], alpha: &[u8]) -> Vec<i16> {
-    let round = |(&height, &code): (&f32, &u8)| {
-        let limits = (f32::from(i16::MIN), f32::from(i16::MAX));
-        #[expect(clippy::cast_possible_truncation, reason = "clamped")]
-        let rounded = height.round_ties_even().clamp(limits.0, limits.1) as i16;
-        if code == 0 { 0 } else { rounded }
-    };
-    heights.iter().zip(alpha).map(round).collect()
+    let mut rounded = vec![0; heights.len()];
+    vectorized(Whole { heights, alpha, rounded: &mut rounded });
+    rounded
+}
+
+struct Whole<'a> {
+    heights: &'a [f32],
+    alpha: &'a [u8],
+    rounded: &'a mut [i16],
+}
+
+impl Wide for Whole<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        /// Sums with it are whole, ties to even: `round_ties_even` is a call where vectors are not
+        /// known to have it.
+        const WHOLE: f32 = 1.5 * (1_u32 << 23) as f32;
+        let (least, most) = (f32::from(i16::MIN), f32::from(i16::MAX));
+        let places = self.rounded.iter_mut().zip(self.heights).zip(self.alpha);
+        for ((rounded, &height), &code) in places {
+            let shifted = lanes::least(lanes::greatest(height, least), most) + WHOLE;
+            #[expect(clippy::cast_possible_truncation, reason = "the low bits are the number")]
+            let low = shifted.to_bits() as u16;
+            *rounded = if code == 0 { 0 } else { low.cast_signed() };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heights_are_rounded_to_the_nearest_meter_within_16_bits() {
+        let eighths = -8 * 40_000..=8 * 40_000;
+        let heights: Vec<f32> = eighths.map(|eighth| eighth as f32 / 8.0).collect();
+        let alpha: Vec<u8> = (0..heights.len()).map(|at| u8::from(at % 5 != 0)).collect();
+        for ((&height, &code), &found) in heights.iter().zip(&alpha).zip(&whole(&heights, &alpha)) {
+            let expected = height.round_ties_even().clamp(-32_768.0, 32_767.0);
+            assert_eq!(f32::from(found), if code == 0 { 0.0 } else { expected }, "{height}");
+        }
+    }
 }

@@ -36,6 +36,7 @@ use std::sync::Arc;
 use areoid_formats::address::PageAddress;
 use areoid_formats::grid::{Grid, Placement};
 use areoid_formats::page::Kind;
+use rayon::prelude::*;
 
 use self::extension::Extension;
 use self::kernel::{Kernel, RangeLimit};
@@ -68,11 +69,12 @@ pub struct OtherBody;
 /// Leaves of a grid, resampled from rasters on another.
 #[derive(Debug)]
 pub struct Resampler {
-    plan: Plan,
+    plan: Arc<Plan>,
     layout: Layout,
     rasters: Arc<Rasters>,
     prepared: PreparedSource,
     heights: Heights,
+    held: Held,
 }
 
 /// What becomes of heights between whole meters, where the source has none.
@@ -82,7 +84,16 @@ enum Heights {
     AsTheyAre,
 }
 
-/// What of the pixels each leaf is made of, and held against: a function of grids alone.
+/// What finished leaves are held against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Held {
+    AgainstPixels,
+    AgainstNothing,
+}
+
+/// What of the pixels each leaf is made of, and held against: a function of grids alone, found once.
+///
+/// Half a kilobyte a leaf, until the build is done.
 #[derive(Debug)]
 struct Plan {
     grid: Grid,
@@ -90,6 +101,17 @@ struct Plan {
     transform: Transform,
     /// From pixels to texels.
     back: Transform,
+    /// Row by row.
+    leaves: Vec<Needs>,
+}
+
+/// What a leaf needs.
+#[derive(Debug)]
+struct Needs {
+    /// The prepared tiles that it announces.
+    tiles: Box<[PreparedAt]>,
+    /// The pixels that it is held against when it is finished.
+    beneath: Box<[Rect]>,
 }
 
 impl Resampler {
@@ -108,9 +130,10 @@ impl Resampler {
         let (target, precision) = (grid.placement(), resampling.precision);
         let transform = Transform::new(&target, &placement, precision).ok_or(OtherBody)?;
         let back = Transform::new(&placement, &target, precision).ok_or(OtherBody)?;
-        let plan = Plan { grid, resampling, transform, back };
-        let (rasters, prepared) = plan.sources(&layout, kind, None);
-        Ok(Self { plan, layout, rasters, prepared, heights: Heights::Rounded })
+        let plan = Arc::new(Plan::new(grid, resampling, transform, back));
+        let held = Held::AgainstPixels;
+        let (rasters, prepared) = plan.sources(&layout, kind, held, None);
+        Ok(Self { plan, layout, rasters, prepared, heights: Heights::Rounded, held })
     }
 
     /// The same with heights that are not rounded to whole meters where those of the rasters are: for
@@ -118,6 +141,20 @@ impl Resampler {
     #[must_use]
     pub fn unrounded(self) -> Self {
         Self { heights: Heights::AsTheyAre, ..self }
+    }
+
+    /// The same with leaves that are not held against the pixels when they are finished, so that no
+    /// block waits for that. They have no source error.
+    ///
+    /// # Panics
+    ///
+    /// If a leaf was read already.
+    #[must_use]
+    pub fn unmeasured(self) -> Self {
+        assert_eq!(self.rasters.decoded_blocks(), 0, "uses are announced before the first");
+        let held = Held::AgainstNothing;
+        let (rasters, prepared) = self.plan.sources(&self.layout, self.rasters.kind(), held, None);
+        Self { rasters, prepared, held, ..self }
     }
 
     /// How often a prepared tile was made, and how many there are.
@@ -129,15 +166,32 @@ impl Resampler {
 }
 
 impl Plan {
+    fn new(grid: Grid, resampling: Resampling, transform: Transform, back: Transform) -> Self {
+        let pyramid = grid.pyramid();
+        let reach = |footprint: Footprint| {
+            let [across, down] = resampling.kernel.reach(footprint);
+            [across - 1, across, down - 1, down]
+        };
+        let needs = |leaf: PageAddress| Needs {
+            tiles: prepared_tiles(&transform, pyramid, leaf, reach).into(),
+            beneath: beneath::beneath(&back, pyramid, leaf).into(),
+        };
+        let all: Vec<PageAddress> = leaves(&grid).collect();
+        let leaves = all.into_par_iter().map(needs).collect();
+        Self { grid, resampling, transform, back, leaves }
+    }
+
     /// What leaves are sampled from, with their uses announced and what waits in memory limited.
     fn sources(
         &self,
         layout: &Layout,
         kind: Kind,
+        held: Held,
         overflow: Option<&Arc<Overflow>>,
     ) -> (Arc<Rasters>, PreparedSource) {
         let (placement, filter) = (*self.transform.source(), self.resampling.kernel.filter());
-        let uses = needs::uses(&placement, leaves(&self.grid).flat_map(|leaf| self.named(leaf)));
+        let named = self.leaves.iter().flat_map(|needs| &needs.tiles).copied();
+        let uses = needs::uses(&placement, named);
         let columns = placement.width.div_ceil(prepare::PREPARED) as usize;
         let narrow = |index: usize| u32::try_from(index).expect("tiles of a raster");
         let wanted = (0..uses.len()).filter(|&at| uses[at] > 0);
@@ -145,7 +199,8 @@ impl Plan {
         let rects = wanted.flat_map(|at| {
             prepare::reads(extension, filter, (narrow(at % columns), narrow(at / columns)))
         });
-        let again = leaves(&self.grid).flat_map(|leaf| self.beneath(leaf));
+        let again = self.leaves.iter().filter(|_| held == Held::AgainstPixels);
+        let again = again.flat_map(|needs| &needs.beneath).cloned();
         let rects: Vec<Rect> = rects.chain(again).collect();
         let mut rasters = Rasters::new(layout, placement, kind, &rects);
         overflow.into_iter().for_each(|overflow| rasters.spill(overflow));
@@ -161,17 +216,11 @@ impl Plan {
         (rasters, prepared)
     }
 
-    /// The prepared tiles that a leaf announces.
-    fn named(&self, leaf: PageAddress) -> Vec<PreparedAt> {
-        prepared_tiles(&self.transform, self.grid.pyramid(), leaf, |footprint: Footprint| {
-            let [across, down] = self.resampling.kernel.reach(footprint);
-            [across - 1, across, down - 1, down]
-        })
-    }
-
-    /// The pixels that a finished leaf is held against.
-    fn beneath(&self, leaf: PageAddress) -> Vec<Rect> {
-        beneath::beneath(&self.back, self.grid.pyramid(), leaf)
+    /// What a leaf needs.
+    fn needs(&self, leaf: PageAddress) -> &Needs {
+        let pyramid = self.grid.pyramid();
+        let (_, cols) = pyramid.pages(leaf.level).expect("a leaf is of the finest level");
+        &self.leaves[leaf.row as usize * cols as usize + leaf.col as usize]
     }
 }
 
@@ -188,19 +237,16 @@ impl Origin for Resampler {
     }
 
     fn apart(&self) -> Box<dyn Origin> {
-        let made = Self::new(
-            self.plan.grid.clone(),
-            self.layout.clone(),
-            *self.plan.transform.source(),
-            self.rasters.kind(),
-            self.plan.resampling,
-        );
-        Box::new(Self { heights: self.heights, ..made.expect("the same bodies as before") })
+        let (plan, layout) = (Arc::clone(&self.plan), self.layout.clone());
+        let (heights, held) = (self.heights, self.held);
+        let (rasters, prepared) = plan.sources(&layout, self.rasters.kind(), held, None);
+        Box::new(Self { plan, layout, rasters, prepared, heights, held })
     }
 
     fn spill(&mut self, overflow: &Arc<Overflow>) {
         let kind = self.rasters.kind();
-        (self.rasters, self.prepared) = self.plan.sources(&self.layout, kind, Some(overflow));
+        (self.rasters, self.prepared) =
+            self.plan.sources(&self.layout, kind, self.held, Some(overflow));
     }
 
     fn decoded_blocks(&self) -> u64 {
@@ -213,7 +259,7 @@ impl Origin for Resampler {
 
     fn decoded_for(&self, leaves: &[PageAddress]) -> u64 {
         let mut tiles: Vec<PreparedAt> =
-            leaves.iter().flat_map(|&leaf| self.plan.named(leaf)).collect();
+            leaves.iter().flat_map(|&leaf| &self.plan.needs(leaf).tiles).copied().collect();
         tiles.sort_unstable();
         tiles.dedup();
         let rects = tiles.iter().flat_map(|tile| self.prepared.reads(tile.col, tile.row));

@@ -35,10 +35,10 @@ pub struct PreparedAt {
 /// Texels below which a rectangle is not cut further to name fewer tiles.
 const FINEST_CUT: usize = 16;
 
-/// The prepared tiles that the interior of a leaf and the texel around it may need, sorted: all
-/// that they do, and few more.
+/// The prepared tiles that the interior of a leaf may need, sorted: all that it does, and few more.
 ///
-/// `reach` is what a kernel reaches for a footprint.
+/// `reach` is what a kernel reaches for a footprint. It is asked for the same tiles of texels that
+/// the leaf is sampled in: others have other footprints.
 ///
 /// # Panics
 ///
@@ -52,11 +52,9 @@ pub fn prepared_tiles(
 ) -> Vec<PreparedAt> {
     assert_eq!(leaf.level, pyramid.finest(), "a leaf is a finest page");
     let (height, width) = pyramid.interior_size(leaf);
-    let interior = pyramid.interior();
-    let [row, col] = [leaf.row, leaf.col].map(|index| i64::from(index * interior) - 1);
-    let (rows, cols) = (row..row + i64::from(height) + 2, col..col + i64::from(width) + 2);
-
-    let whole = TargetTile { row, col, rows: height as usize + 2, cols: width as usize + 2 };
+    let [row, col] = [leaf.row, leaf.col].map(|index| i64::from(index * pyramid.interior()));
+    let (rows, cols) = (row..row + i64::from(height), col..col + i64::from(width));
+    let whole = TargetTile { row, col, rows: height as usize, cols: width as usize };
     if transform.range(whole).is_none() {
         return Vec::new();
     }

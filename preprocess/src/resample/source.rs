@@ -60,6 +60,42 @@ pub trait Source: Send + Sync + Debug {
     fn read(&self, rect: &Rect, pixels: Pixels<'_>, stride: usize) -> Result<(), RasterError>;
 }
 
+/// The pixels of a rectangle, in memory that the next one uses again.
+#[derive(Debug, Default)]
+pub(super) struct Patch {
+    /// Meters, NaN where there are none.
+    pub(super) heights: Vec<f32>,
+    /// Red, green and blue codes.
+    pub(super) codes: [Vec<u8>; 3],
+    /// Alpha beside codes, 0 where there are none.
+    pub(super) alpha: Vec<u8>,
+}
+
+impl Patch {
+    /// Reads `rect`, row by row, by its source's kind.
+    ///
+    /// # Errors
+    ///
+    /// That of [`Source::read`].
+    pub(super) fn read(&mut self, source: &dyn Source, rect: &Rect) -> Result<(), RasterError> {
+        let (cols, count) = (rect.cols.len(), rect.cols.len() * rect.rows.len());
+        match source.kind() {
+            Kind::Height => {
+                self.heights.clear();
+                self.heights.resize(count, f32::NAN);
+                source.read(rect, Pixels::Heights(&mut self.heights), cols)
+            }
+            Kind::Color | Kind::Normal => {
+                self.codes.iter_mut().for_each(|plane| plane.resize(count, 0));
+                self.alpha.clear();
+                self.alpha.resize(count, 0);
+                let planes = self.codes.each_mut().map(|plane| &mut plane[..]);
+                source.read(rect, Pixels::Colors { planes, alpha: &mut self.alpha }, cols)
+            }
+        }
+    }
+}
+
 /// The twin in memory.
 #[cfg(test)]
 pub(crate) mod test_support {

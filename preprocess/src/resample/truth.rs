@@ -9,7 +9,7 @@ use areoid_formats::pyramid::{Extent, Pyramid};
 
 use super::OtherBody;
 use super::rasters::Rasters;
-use super::source::{Pixels, Rect, Source as _};
+use super::source::{Patch, Rect, Source as _};
 use super::tile::TargetTile;
 use super::transform::{Precision, Transform};
 use crate::mosaic::Layout;
@@ -93,17 +93,9 @@ impl Truth for SourcePixels {
         let Some(rect) = usize::try_from(parcel).ok().and_then(|at| self.parcels.get(at)) else {
             return Ok(Vec::new());
         };
-        let (cols, count) = (rect.cols.len(), rect.cols.len() * rect.rows.len());
-        let mut heights = vec![f32::NAN; count];
-        let (mut codes, mut alpha) = ([(); 3].map(|()| vec![0; count]), vec![0; count]);
-        let pixels = match self.rasters.kind() {
-            Kind::Height => Pixels::Heights(&mut heights),
-            Kind::Color | Kind::Normal => Pixels::Colors {
-                planes: codes.each_mut().map(|plane| &mut plane[..]),
-                alpha: &mut alpha,
-            },
-        };
-        self.rasters.read(rect, pixels, cols)?;
+        let mut patch = Patch::default();
+        patch.read(&self.rasters, rect)?;
+        let Patch { heights, codes, alpha } = &patch;
         let value = |at: usize| match self.rasters.kind() {
             Kind::Height => (!heights[at].is_nan()).then(|| [f64::from(heights[at]), 0.0, 0.0]),
             Kind::Color | Kind::Normal => {

@@ -414,3 +414,63 @@ proptest! {
         check(case)?;
     }
 }
+
+/// A raster of so many prepared tiles that leaves far from one another share none, and its leaves.
+fn of_many_tiles() -> (Case, Layout) {
+    let case = Case {
+        map: Map::Polar { pole: Pole::North, at: [0.3, 0.6] },
+        size: 3 * crate::resample::prepare::PREPARED + 40,
+        values: Values::Whole,
+        holes: 3,
+        seed: 1,
+        target: TargetMap::Equirectangular,
+        scale: 6.0,
+        kernel: Kernel::Cubic,
+        limit: RangeLimit::Taps,
+    };
+    (case, case.layout())
+}
+
+#[test]
+fn no_block_of_a_large_raster_waits_when_all_leaves_are_done() {
+    let (case, layout) = of_many_tiles();
+    // What a build that was interrupted has done already comes in squares.
+    for is_skipped in [|_, _| false, |row, col| row < 4 && col < 9, |row, col| row / 3 == col / 3] {
+        let resampler = case.resampler(layout.clone()).unwrap();
+        let grid = resampler.plan.grid.clone();
+        assert!(resampler.prepared.tiles() >= (4, 4));
+        let leaves: Vec<PageAddress> = crate::resample::leaves(&grid).collect();
+        for &leaf in &leaves {
+            if is_skipped(leaf.row, leaf.col) {
+                resampler.skip(leaf);
+            } else {
+                resampler.read(leaf).unwrap();
+            }
+        }
+        assert!(
+            resampler.rasters.resident_bytes() > 0,
+            "blocks wait for what is held against them"
+        );
+        for &leaf in &leaves {
+            resampler.source_error(leaf, None).unwrap();
+        }
+        assert_eq!(resampler.rasters.resident_bytes(), 0);
+        let (decoded, blocks) = (resampler.rasters.decoded_blocks(), resampler.rasters.blocks());
+        assert!(decoded <= blocks, "{decoded} of {blocks}, tiles {:?}", resampler.prepared_tiles());
+    }
+}
+
+#[test]
+fn nothing_waits_for_leaves_that_are_held_against_nothing() {
+    let (case, layout) = of_many_tiles();
+    let resampler = case.resampler(layout).unwrap().unmeasured();
+    let leaves: Vec<PageAddress> = crate::resample::leaves(&resampler.plan.grid).collect();
+    for &leaf in &leaves {
+        resampler.read(leaf).unwrap();
+    }
+    assert_eq!(resampler.rasters.resident_bytes(), 0);
+    assert!(resampler.rasters.decoded_blocks() > 0);
+    for &leaf in &leaves {
+        assert_eq!(resampler.source_error(leaf, None).unwrap(), None);
+    }
+}

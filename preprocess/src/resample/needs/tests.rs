@@ -61,9 +61,9 @@ fn col_of(source: &Placement, mut col: i64, turned: bool) -> i64 {
 fn touched(transform: &Transform, pyramid: &Pyramid, leaf: PageAddress) -> BTreeSet<PreparedAt> {
     let source = transform.source();
     let (height, width) = pyramid.interior_size(leaf);
-    let start = |index: u32| i64::from(index * pyramid.interior()) - 1;
+    let start = |index: u32| i64::from(index * pyramid.interior());
     let (row, col) = (start(leaf.row), start(leaf.col));
-    let tiles = transform.tiles(row..row + i64::from(height) + 2, col..col + i64::from(width) + 2);
+    let tiles = transform.tiles(row..row + i64::from(height), col..col + i64::from(width));
     let mut found = BTreeSet::new();
     let mut coords = Coords::default();
     let inside = |place: f64, length: u32| (0..i64::from(length)).contains(&floor(place + 0.5));

@@ -8,7 +8,8 @@
 //!   cylindrical ◀ cylindrical   a table of columns, a table of rows               cylindrical.rs
 //!   cylindrical ◀ polar         (sin, cos) by column times the radius by row      polar_tables.rs
 //!   polar       ◀ cylindrical   arc tangent of a rotated quotient, V(radius)      polar_angle.rs
-//!   polar       ◀ polar         through the body, one by one                      exact.rs
+//!   polar       ◀ polar         a sum of column and row, about one pole           similar.rs
+//!   any         ◀ any           through the body, one by one                      exact.rs
 //! ```
 //!
 //! # Conventions
@@ -27,6 +28,7 @@ mod exact;
 mod polar_angle;
 mod polar_tables;
 mod radial;
+mod similar;
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -39,6 +41,7 @@ use self::cylindrical::Cylindrical;
 use self::exact::Pair;
 use self::polar_angle::PolarAngle;
 use self::polar_tables::PolarTables;
+use self::similar::Similar;
 use super::tile::{Coords, Footprint, TILE, TargetTile};
 
 /// How exact positions are.
@@ -91,6 +94,7 @@ enum Case {
     Cylindrical(Cylindrical),
     PolarTables(PolarTables),
     PolarAngle(PolarAngle),
+    Similar(Similar),
     Exact,
 }
 
@@ -126,7 +130,9 @@ impl Transform {
         }
         let pair = Pair::new(*target, *source);
         let case = match (&target.crs.projection, &source.crs.projection) {
-            (Projection::PolarStereographic(_), Projection::PolarStereographic(_)) => Case::Exact,
+            (Projection::PolarStereographic(_), Projection::PolarStereographic(_)) => {
+                Similar::new(&pair).map_or(Case::Exact, Case::Similar)
+            }
             (Projection::PolarStereographic(map), _) => {
                 Case::PolarAngle(PolarAngle::new(&pair, map))
             }
@@ -190,6 +196,12 @@ impl Transform {
     ///
     /// If the tile lies outside it, or is larger than [`TILE`].
     pub fn coords(&self, tile: TargetTile, out: &mut Coords) -> Footprint {
+        self.places(tile, out);
+        self.footprint(tile)
+    }
+
+    /// [`Self::coords`] where nobody asks for the footprint.
+    pub(super) fn places(&self, tile: TargetTile, out: &mut Coords) {
         assert!(tile.rows <= TILE && tile.cols <= TILE, "a tile of at most {TILE} texels a side");
         let texels = tile.rows * tile.cols;
         out.u.resize(texels, 0.0);
@@ -205,6 +217,10 @@ impl Transform {
                 &self.by_tables
             }
             Case::PolarAngle(case) if fast && case.fill(&self.pair, tile, out) => &self.by_series,
+            Case::Similar(case) if fast => {
+                case.fill(&self.pair, tile, out);
+                &self.by_tables
+            }
             _ => {
                 self.pair.fill(tile, out);
                 &self.by_exact
@@ -212,12 +228,12 @@ impl Transform {
         };
         counter.fetch_add(texels as u64, Ordering::Relaxed);
         self.settle(out);
-        self.footprint(tile)
     }
 
     /// A rectangle that holds the positions of a tile's texels: least and greatest column, least
     /// and greatest row. `None` if all of them are outside the source.
     ///
+    /// A bound, but between polar maps that are not similar, where it is estimated from places on the tile's rim.
     /// Any rectangle of texels will do for a tile here. Columns are not wrapped; where rows of the
     /// source do not close but its map does, they may be a turn away.
     #[must_use]
@@ -226,6 +242,7 @@ impl Transform {
             Case::Cylindrical(case) => case.range(&self.pair, tile),
             Case::PolarTables(case) => case.range(tile),
             Case::PolarAngle(case) => case.range(&self.pair, tile),
+            Case::Similar(case) => case.range(&self.pair, tile),
             Case::Exact => self.pair.range(tile),
         };
         let [[least_u, most_u], [least_v, most_v]] = self.limits();

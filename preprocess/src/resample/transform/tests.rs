@@ -315,6 +315,24 @@ proptest! {
     }
 
     #[test]
+    fn polar_maps_about_one_pole_are_one_figure(
+        surface in surfaces(), target in round(), source in round(), (place, size) in places(),
+    ) {
+        // About the same place on the ground, so that they meet.
+        let scale = source.scale.min(target.scale * 50.0).max(target.scale / 50.0);
+        let map = PolarStereographic { pole: target.map.pole, ..source.map };
+        let source = Round { map, scale, ..source };
+        let target = target.placement(surface);
+        let transform = transform(&target, &source.placement(surface));
+        check(&transform, tile_at(&target, place, size))?;
+        let is_within_the_map = transform.pair.position(-1.0, -1.0).is_some()
+            && transform.pair.position(target.height.into(), target.width.into()).is_some()
+            && transform.pair.position(-1.0, target.width.into()).is_some()
+            && transform.pair.position(target.height.into(), -1.0).is_some();
+        prop_assert_eq!(matches!(transform.case, Case::Similar(_)), is_within_the_map);
+    }
+
+    #[test]
     fn a_polar_map_of_a_polar_source_is_exact(
         surface in surfaces(), target in round(), source in round(), (place, size) in places(),
     ) {
