@@ -18,6 +18,19 @@ pub struct Sample {
     pub y: f64,
     /// Meters in the first, or color codes; `None` where there is no data.
     pub value: Option<[f64; 3]>,
+    /// What the texels around it must have.
+    pub around: Around,
+}
+
+/// What the texels around a sample's center must have, from the samples that can make them valid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Around {
+    /// Data.
+    Data,
+    /// None.
+    Nothing,
+    /// Either.
+    Unknown,
 }
 
 /// The rasters of a dataset.
@@ -25,7 +38,8 @@ pub struct Sample {
 /// # Contract
 ///
 /// * Any thread may call anything at any time; each parcel is asked for once.
-/// * Every sample with data inside the dataset's outline is in one of the parcels, once.
+/// * Every sample with data inside the dataset's outline is in one of the parcels, once; and those
+///   without that have no data around, [`Around::Nothing`], as far as it is known.
 pub trait Truth: Send + Sync {
     /// Into how many parcels the samples are put.
     fn parcels(&self) -> u64;
@@ -83,6 +97,7 @@ impl Truth for OnTexels {
             x: f64::from(col) + 0.5,
             y: f64::from(row) + 0.5,
             value: value(&raw, (row as usize + 1) * side + col as usize + 1),
+            around: Around::Unknown,
         };
         Ok(places.map(sample).collect())
     }

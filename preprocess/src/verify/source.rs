@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::bounds::{Placed, ancestors};
 use super::reader::Reader;
 use super::{Report, VerifyError};
-use crate::truth::{Sample, Truth};
+use crate::truth::{Around, Sample, Truth};
 
 /// Errors of a level against a raster.
 #[derive(Clone, Copy, Default)]
@@ -51,7 +51,11 @@ pub(super) fn measure(
         let least = errors.largest * (1.0 - ROUNDING) - errors.magnitude * ROUNDING;
         if allowed.is_nan() || least > allowed {
             let (name, error) = (reader.name(page), errors.largest);
-            breaches.push(format!("{name} is off the source by {error}, allowed are {allowed}"));
+            breaches.push(if error.is_finite() {
+                format!("{name} is off the source by {error}, allowed are {allowed}")
+            } else {
+                format!("{name} has no data where the source has, or has where the source has none")
+            });
         }
     }
     breaches.sort();
@@ -86,12 +90,24 @@ fn measure_leaf(
     found: &mut Vec<(PageAddress, Errors)>,
 ) -> Result<(), VerifyError> {
     let leaf = samples[0].leaf;
+    let breach = || (leaf, Errors { largest: f64::INFINITY, ..Errors::default() });
     let Some(leaf_page) = reader.page(leaf)? else {
-        if is_texels {
-            found.push((leaf, Errors { largest: f64::INFINITY, ..Errors::default() }));
+        if is_texels || samples.iter().any(|sample| sample.around == Around::Data) {
+            found.push(breach());
         }
         return Ok(());
     };
+    let is_off = |sample: &Sample| {
+        let here = leaf_page.reconstruct(sample.x + 1.0, sample.y + 1.0);
+        match sample.around {
+            Around::Data => here.is_none_or(|found| found.valid_weight < 1.0 - WEIGHTS),
+            Around::Nothing => here.is_some(),
+            Around::Unknown => false,
+        }
+    };
+    if samples.iter().any(is_off) {
+        found.push(breach());
+    }
     for (address, page) in ancestors(reader, leaf)? {
         let placed = Placed::new(reader.pyramid(), leaf, address);
         let mut errors = Errors::default();

@@ -148,6 +148,11 @@ fn mixed(number: u64) -> u64 {
 
 impl Case {
     fn layout(&self) -> Layout {
+        self.layout_with(|_, _| false)
+    }
+
+    /// With holes in more pixels, by row and column.
+    fn layout_with(&self, is_also_hole: impl Fn(u32, u32) -> bool) -> Layout {
         let body = Body::parse("moon").unwrap().ellipsoid;
         let height = self.size;
         let degrees = 180.0 / f64::from(height);
@@ -197,7 +202,7 @@ impl Case {
         };
         let mut samples = Vec::new();
         for (row, col) in (0..height).flat_map(|row| (0..width).map(move |col| (row, col))) {
-            let hole = is_hole(row, col);
+            let hole = is_hole(row, col) || is_also_hole(row, col);
             match self.values {
                 Values::Colors => {
                     let code = |band| (sample_at(row, col, band).0 * 255.0).round() as f32;
@@ -472,5 +477,40 @@ fn nothing_waits_for_leaves_that_are_held_against_nothing() {
     assert!(resampler.rasters.decoded_blocks() > 0);
     for &leaf in &leaves {
         assert_eq!(resampler.source_error(leaf, None).unwrap(), None);
+    }
+}
+
+/// An archive that lost leaves, or has heights of its own, is like that of another raster: one with a
+/// wide hole, or without.
+#[test]
+fn an_archive_has_data_where_its_pixels_do() {
+    for kernel in [Kernel::Bilinear, Kernel::Average, Kernel::QuinticSpline] {
+        for (map, target) in [
+            (Map::Polar { pole: Pole::North, at: [0.5, 0.5] }, TargetMap::Equirectangular),
+            (Map::Globe { posts: false }, TargetMap::Polar(Pole::North)),
+        ] {
+            let (case, _) = of_many_tiles();
+            let case = Case { map, size: 400, holes: 0, target, scale: 1.1, kernel, ..case };
+            let hole = |row: u32, col: u32| (60..160).contains(&row) && (100..300).contains(&col);
+            let (solid, with_hole) = (case.layout(), case.layout_with(hole));
+            let placement = solid.placement().unwrap();
+            let resampled = [&solid, &with_hole].map(|layout| {
+                let resampler = case.resampler(layout.clone()).unwrap();
+                let grid = resampler.plan.grid.clone();
+                built(&case.description(&grid), &resampler).unwrap()
+            });
+            for (made, against) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+                // Blocks are announced for one check each.
+                let (archive, layout) = (&resampled[made], [&solid, &with_hole][against]);
+                let grid = archive.description().grid.clone();
+                let truth = SourcePixels::new(grid, layout, placement, case.kind()).unwrap();
+                let report = verify(archive, Some(&truth)).unwrap();
+                let breaches = report.problems.iter().filter(|problem| problem.contains("no data"));
+                let breaches = breaches.count();
+                // Some leaves lie in the hole as a whole, and some beside it.
+                let expected = if made == against { 0..1 } else { 10..1000 };
+                assert!(expected.contains(&breaches), "{case:?}: {breaches}");
+            }
+        }
     }
 }
