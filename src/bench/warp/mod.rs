@@ -188,7 +188,7 @@ fn no_higher(direction: &Direction, ways: &[Way], errors: &[Option<ByWave>]) -> 
             let Some(theirs) = errors_of(exact, ways, errors) else { continue };
             let ours = errors_of(our, ways, errors);
             for (figure, name) in FIGURES {
-                let worst = ours.map(|ours| {
+                let worst = ours.and_then(|ours| {
                     let pairs = ours.iter().flatten().zip(theirs.iter().flatten());
                     worst(pairs.map(|(our, their)| figure(our) / figure(their)))
                 });
@@ -216,11 +216,11 @@ fn of_our_own(direction: &Direction, ways: &[Way], errors: &[Option<ByWave>]) ->
         let ratios = all().map(|zones| zones[zone].rms / zones[0].rms);
         let what =
             format!("{}: root mean square error, {name} over elsewhere, worst", direction.name);
-        targets.push(Target::new(what, Relation::AtMost, AS_ELSEWHERE, Some(worst(ratios))));
+        targets.push(Target::new(what, Relation::AtMost, AS_ELSEWHERE, worst(ratios)));
     }
     for (wave, limit) in SPLINE_RMS {
         let found = errors_of(DEFAULT, ways, errors)
-            .map(|errors| worst(errors[wave].iter().map(|zone| zone.rms)));
+            .and_then(|errors| worst(errors[wave].iter().map(|zone| zone.rms)));
         let what = format!(
             "{}: {} error at {} px, %, worst zone",
             direction.name,
@@ -242,9 +242,9 @@ fn errors_of<'a>(way: Way, ways: &[Way], errors: &'a [Option<ByWave>]) -> Option
     errors[ways.iter().position(|&one| one == way)?].as_ref()
 }
 
-/// The greatest, or NaN if one is: where nothing was compared, nothing is met.
-fn worst(values: impl Iterator<Item = f64>) -> f64 {
-    values.fold(0.0, |worst, value| if value > worst || value.is_nan() { value } else { worst })
+/// The greatest; `None` where one was not measured, as of zones without texels on tiny maps.
+fn worst(mut values: impl Iterator<Item = f64>) -> Option<f64> {
+    values.try_fold(0.0, |worst, value| (!value.is_nan()).then(|| value.max(worst)))
 }
 
 fn speeds(direction: &Direction, all: &[Runs]) -> Table {
