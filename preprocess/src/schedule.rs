@@ -366,7 +366,7 @@ mod tests {
     fn users_are_the_inverse_of_sources() {
         for pyramid in pyramids() {
             for level in pyramid.levels() {
-                for halo in [1, 5, 12] {
+                for halo in [1, 5, 12, 33] {
                     for page in all_pages(&pyramid, level) {
                         let expected: Vec<PageAddress> = all_pages(&pyramid, level)
                             .into_iter()

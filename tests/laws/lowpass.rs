@@ -55,7 +55,7 @@ fn kept(period: f64, mip: MipRule) -> f64 {
     2.0 * sine.hypot(cosine) / count / 1000.0
 }
 
-/// The table of the module `lowpass`, measured.
+/// What the table of the module `lowpass` says, and of longer waves that they stay.
 #[test]
 fn waves_are_kept_or_dropped() {
     for (period, of_mean, of_kaiser) in [
@@ -122,7 +122,7 @@ fn a_cliff_does_not_ring() {
     }
 }
 
-/// Twice as large pages, other units: the same texels. So nothing hangs on where pages end.
+/// Pages of other sizes: the same texels. So nothing hangs on where pages end.
 #[test]
 fn texels_do_not_depend_on_pages() {
     let poles = [Edge::PoleOnOutline, Edge::PoleOnPosts].map(|edge| Place::Globe(edge, edge));

@@ -1,6 +1,5 @@
 //! Reading an archive: opened by its trailer, each structure proven when it is first touched.
 
-use std::cell::RefCell;
 use std::ops::Range;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
@@ -13,7 +12,7 @@ use super::record::{ALIGNMENT, RECORD_HEAD_LEN, record_len};
 use super::recover::{self, Recovered};
 use super::tail::{Tail, read_description, read_trailer};
 use crate::address::{PageAddress, PageKey};
-use crate::codec::{self, Scratch};
+use crate::codec;
 use crate::page::{Kind, Page, Texels};
 use crate::storage::ByteSource;
 
@@ -369,40 +368,25 @@ pub fn decode_page(
     entry: &PageEntry,
     payload: &[u8],
 ) -> Result<Page, ArchiveError> {
-    thread_local! {
-        /// What decoding needs and no page keeps: new memory for each page would take as long again.
-        static SCRATCH: RefCell<Scratch> = RefCell::default();
-    }
     let side = description.grid.pyramid().page_side() as usize;
     let count = side * side;
     let fail = |source| ArchiveError::Page { page: entry.page, source };
-    let mut coverage = Vec::new();
-    let texels = match (description.kind, entry.payload) {
+    let (texels, coverage) = match (description.kind, entry.payload) {
         (Kind::Height, Payload::Constant(ConstantTexel(texel))) => {
-            Texels::Height(vec![f32::from_le_bytes(texel); count])
+            (Texels::Height(vec![f32::from_le_bytes(texel); count]), None)
         }
         (_, Payload::Constant(ConstantTexel([red, green, blue, _]))) => {
-            Texels::Color(vec![[red, green, blue]; count])
+            (Texels::Color(vec![[red, green, blue]; count]), None)
         }
         (Kind::Height, Payload::Record { .. }) => {
-            let (quantum, mut texels) = (description.quantum, Vec::new());
-            let (into, coverage) = (&mut texels, &mut coverage);
-            SCRATCH
-                .with_borrow_mut(|scratch| {
-                    codec::decode_heights_into(payload, side, quantum, scratch, into, coverage)
-                })
-                .map_err(fail)?;
-            Texels::Height(texels)
+            let (texels, coverage) =
+                codec::decode_heights(payload, side, description.quantum).map_err(fail)?;
+            (Texels::Height(texels), coverage)
         }
         (_, Payload::Record { .. }) => {
-            let (mut texels, coverage) = (Vec::new(), &mut coverage);
-            SCRATCH
-                .with_borrow_mut(|scratch| {
-                    codec::decode_colors_into(payload, side, scratch, &mut texels, coverage)
-                })
-                .map_err(fail)?;
-            Texels::Color(texels)
+            let (texels, coverage) = codec::decode_colors(payload, side).map_err(fail)?;
+            (Texels::Color(texels), coverage)
         }
     };
-    Ok(Page::new(side, texels, (!coverage.is_empty()).then_some(coverage)))
+    Ok(Page::new(side, texels, coverage))
 }

@@ -20,6 +20,7 @@ use std::time::Instant;
 use areoid_formats::archive::Archive;
 pub use areoid_formats::catalog::Existing;
 use areoid_formats::catalog::{Catalog, CatalogError, Disk, Finished, publish_archives};
+use rayon::ThreadPool;
 
 pub use self::plan::{Opened, latitudes_name, open, reopen};
 pub use self::request::{
@@ -52,7 +53,8 @@ pub fn ingest(
     let start = Instant::now();
     tell(&mut watch, Event::Opening)?;
     let mut catalog = newest(&request.catalog)?;
-    let mut plan = plan(request, catalog.as_ref(), &mut watch)?;
+    let threads = threads(request)?;
+    let mut plan = plan(request, &threads, catalog.as_ref(), &mut watch)?;
     let mut outcome = Outcome {
         dataset: plan.called.clone(),
         parts: Vec::new(),
@@ -102,7 +104,8 @@ pub fn ingest(
     }
 
     let mut standing = stand(disk, request, &plan, left, &mut watch)?;
-    if let Err(error) = build_all(request, &mut plan, &mut standing, &mut outcome, &mut watch) {
+    let built = build_all(request, &threads, &mut plan, &mut standing, &mut outcome, &mut watch);
+    if let Err(error) = built {
         return Err(stopped(standing, error));
     }
     watch(Event::Publishing);
@@ -165,6 +168,7 @@ fn saved(parts: &[PartMade], pixels: u64) -> Option<Saved> {
 /// Builds what is not whole yet, one part after another.
 fn build_all(
     request: &Request,
+    threads: &ThreadPool,
     plan: &mut Plan,
     standing: &mut [Standing<'_>],
     outcome: &mut Outcome,
@@ -180,7 +184,6 @@ fn build_all(
             tell(watch, Event::Leftover(leftover))?;
         }
     }
-    let threads = threads(request)?;
     if request.memory_bytes < least_bytes {
         tell(watch, Event::ShortOfMemory { least_bytes })?;
     }
@@ -190,7 +193,7 @@ fn build_all(
             Standing::InPlace(..) => None,
             Standing::Build(underway) => {
                 let place = (&underway.build, underway.begun.as_ref());
-                Some(make_ready(request, part, place, &threads, watch)?)
+                Some(make_ready(request, part, place, threads, watch)?)
             }
         };
         let of_grid = || Estimate::of(part.description.grid.pyramid());
@@ -230,7 +233,7 @@ fn build_all(
             watch(Event::Building(tally.with(progress)))
         };
         let place = (&mut underway.build, begun);
-        underway.written = Some(write(request, part, place, ready, &threads, &mut note)?);
+        underway.written = Some(write(request, part, place, ready, threads, &mut note)?);
         tally.end_part();
     }
     outcome.pixels = tally.pixels();

@@ -14,6 +14,7 @@ use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::grid::Placement;
 use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
+use rayon::ThreadPool;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::UNIT_PAGES;
@@ -51,6 +52,7 @@ pub(super) struct Part {
 /// Opens the rasters and decides what becomes of them.
 pub(super) fn plan(
     request: &Request,
+    threads: &ThreadPool,
     catalog: Option<&Catalog>,
     watch: Watch<'_>,
 ) -> Result<Plan, IngestError> {
@@ -78,7 +80,7 @@ pub(super) fn plan(
     let layout = Layout::new(rasters, crs)?;
     let placement = layout.placement()?;
     let pixels = u64::from(placement.width) * u64::from(placement.height);
-    let origins = origins(request, layout, placement, kind)?;
+    let origins = threads.install(|| origins(request, layout, placement, kind))?;
     let files = fingerprints(&request.rasters, watch)?;
     let reading = &request.reading;
     let source = Source {

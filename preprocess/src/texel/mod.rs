@@ -141,7 +141,8 @@ pub trait Texel: bound::Texel<Cell: bytemuck::Pod> + bytemuck::Pod + std::fmt::D
 #[inline(always)]
 fn nearest_within<S: Texel>(sums: &[f64], [low, high]: [&[S]; 2], quantum: Quantum, out: &mut [S]) {
     for (((out, &sum), &low), &high) in out.iter_mut().zip(sums).zip(low).zip(high) {
-        *out = S::stored(greatest(least(sum, high.into()), low.into()), quantum);
+        // A zero is positive, as it is in rasters that were read.
+        *out = S::stored(greatest(least(sum, high.into()), low.into()) + 0.0, quantum);
     }
 }
 

@@ -242,9 +242,13 @@ fn errors_of<'a>(way: Way, ways: &[Way], errors: &'a [Option<ByWave>]) -> Option
     errors[ways.iter().position(|&one| one == way)?].as_ref()
 }
 
-/// The greatest; `None` where one was not measured, as of zones without texels on tiny maps.
-fn worst(mut values: impl Iterator<Item = f64>) -> Option<f64> {
-    values.try_fold(0.0, |worst, value| (!value.is_nan()).then(|| value.max(worst)))
+/// The greatest; `None` where there is none, or one was not measured, as of zones without texels on
+/// tiny maps.
+fn worst(values: impl Iterator<Item = f64>) -> Option<f64> {
+    values.map(|value| (!value.is_nan()).then_some(value)).reduce(|worst, value| {
+        let (worst, value) = worst.zip(value)?;
+        Some(value.max(worst))
+    })?
 }
 
 fn speeds(direction: &Direction, all: &[Runs]) -> Table {
