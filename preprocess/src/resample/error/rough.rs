@@ -183,3 +183,78 @@ where
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const SIDE: usize = 6;
+
+    /// The reconstruction at a place, of valid taps alone; `None` where others weigh too much.
+    fn exact(texels: &[f32], holes: &[bool], [x, y]: [f64; 2]) -> Option<f64> {
+        let [col, row] = [x, y].map(|place| place.floor().min((SIDE - 2) as f64));
+        let (right, below) = (x - col, y - row);
+        let (mut sum, mut valid) = (0.0, 0.0);
+        for (down, across) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            let at = (row as usize + down) * SIDE + col as usize + across;
+            let weight = [1.0 - right, right][across] * [1.0 - below, below][down];
+            if !holes[at] {
+                sum += weight * f64::from(texels[at]);
+                valid += weight;
+            }
+        }
+        (valid >= 1.0 - super::super::NO_WEIGHT).then(|| sum / valid)
+    }
+
+    /// Along an axis, in the interior: anywhere, on a texel, and so near one that the next weighs next
+    /// to nothing.
+    fn any_place() -> impl Strategy<Value = f64> {
+        let near = prop::sample::select(vec![0.0, 1e-9, -1e-9, 1.4e-5, -1.4e-5]);
+        prop_oneof![
+            0.5..SIDE as f64 - 1.5,
+            (1..SIDE - 2, near).prop_map(|(texel, off)| texel as f64 + off),
+        ]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn what_is_farther_off_is_suspect(
+            noise in prop::collection::vec(-1.0_f32..1.0, SIDE * SIDE),
+            (offset, relief) in prop::sample::select(
+                vec![(0.0, 1.0), (4000.0, 1e-3), (4000.0, 0.0), (-1e30, 1e28), (0.0, 1e38)]),
+            holes in prop::collection::vec(prop::bool::weighted(0.2), SIDE * SIDE),
+            has_holes: bool,
+            places in prop::collection::vec([any_place(), any_place()], 16),
+            off in prop::collection::vec(-2.0_f32..2.0, 16),
+        ) {
+            let holes: Vec<bool> = holes.into_iter().map(|hole| hole && has_holes).collect();
+            let stored = |(noise, &hole): (f32, &bool)| if hole { 0.0 } else { offset + relief * noise };
+            let texels: Vec<f32> = noise.into_iter().zip(&holes).map(stored).collect();
+            let valid = || texels.iter().zip(&holes).filter(|&(_, &hole)| !hole).map(|(&texel, _)| texel);
+            let range = [valid().fold(f32::INFINITY, f32::min), valid().fold(f32::NEG_INFINITY, f32::max)];
+            let slack = Slack::new(range.map(f64::from), has_holes);
+            // In f64, equal errors may differ by so much.
+            let rounding = 1e-14 * f64::from(offset.abs() + relief);
+            let pixels: Vec<f32> = off.into_iter().map(|off| offset + relief * off).collect();
+            let errors: Vec<Option<f64>> = places
+                .iter()
+                .zip(&pixels)
+                .map(|(&place, &pixel)| Some((exact(&texels, &holes, place)? - f64::from(pixel)).abs()))
+                .collect();
+
+            let [us, vs] = [0, 1].map(|axis| places.iter().map(|place| place[axis]).collect::<Vec<_>>());
+            let mut rough = Rough::default();
+            rough.compare([&us[..], &vs[..]], [0.0; 2], ([&texels[..]], SIDE), [&pixels[..]]);
+            for &largest in errors.iter().flatten() {
+                let suspects: Vec<usize> = rough.suspects(slack, largest).collect();
+                for (pixel, error) in errors.iter().enumerate() {
+                    let is_larger = error.is_some_and(|error| error > largest + rounding);
+                    prop_assert!(!is_larger || suspects.contains(&pixel), "{pixel}: {error:?} {largest}");
+                }
+            }
+        }
+    }
+}
