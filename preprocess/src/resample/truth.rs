@@ -23,10 +23,10 @@ use crate::raster::RasterError;
 use crate::truth::{Around, Sample, Truth};
 
 /// Pixels along a side of a parcel.
-const PARCEL: u32 = 256;
+const PARCEL: u32 = 512;
 
-/// Pixels beside a parcel that are looked at, too.
-const MARGIN: u32 = 16;
+/// Pixels beside a parcel that are looked at, too: texels of up to 21 pixels are known by them.
+const MARGIN: u32 = 64;
 
 /// Pixels along a side of what is taken to have texels of one size.
 const PATCH: u32 = 32;

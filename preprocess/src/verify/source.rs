@@ -41,7 +41,10 @@ pub(super) fn measure(
     let mut breaches = Vec::new();
     for (page, errors) in measured {
         let sum = &mut sums[usize::from(page.level.0)];
-        sum.largest = sum.largest.max(errors.largest);
+        // What has no value on one side is a breach, and no distance.
+        if errors.largest.is_finite() {
+            sum.largest = sum.largest.max(errors.largest);
+        }
         sum.squares += errors.squares;
         sum.count += errors.count;
         let allowed = reader

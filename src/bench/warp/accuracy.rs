@@ -69,7 +69,7 @@ pub(super) fn measure(
                 Program::GdalWarp | Program::Python => tiff(&out, direction.target.1)?,
             };
             fs::remove_file(&out)?;
-            found[at] = truth.errors(&samples);
+            found[at] = truth.errors(way.program, &samples);
         }
     }
     fs::remove_dir_all(&folder)?;
@@ -123,13 +123,13 @@ impl Truth {
         Self { heights, zones }
     }
 
-    fn errors(&self, samples: &[f32]) -> [Errors; ZONES.len()] {
+    fn errors(&self, program: Program, samples: &[f32]) -> [Errors; ZONES.len()] {
         assert_eq!(samples.len(), self.heights.len(), "as many samples as the target has texels");
         let mut found = [Errors::default(); ZONES.len()];
         for ((&height, &zone), &sample) in self.heights.iter().zip(&self.zones).zip(samples) {
             let Some(errors) = found.get_mut(usize::from(zone)) else { continue };
-            // GDAL leaves 0 where it finds nothing.
-            if sample.is_nan() || sample == 0.0 {
+            // GDAL leaves 0 where it finds nothing; here it is a height.
+            if sample.is_nan() || program != Program::Areoid && sample == 0.0 {
                 errors.missing += 1;
                 continue;
             }

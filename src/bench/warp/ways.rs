@@ -38,9 +38,19 @@ const OURS: [&str; 7] =
 /// The Lanczos that others have; the one without a word is exact for ramps, too.
 const PLAIN_LANCZOS: &str = "lanczos plain";
 
-/// GDAL's kernels, but for its splines, which do not interpolate, and the same ones of this program.
-pub(super) const SHARED: [(&str, &str); 3] =
-    [("bilinear", "bilinear"), ("cubic", "cubic"), ("lanczos", PLAIN_LANCZOS)];
+/// GDAL's kernels, but for its splines, which do not interpolate.
+const THEIRS: [&str; 3] = ["bilinear", "cubic", "lanczos"];
+
+/// Those and the ones of this program that are held against them.
+pub(super) const SHARED: [(&str, &str); 4] = [
+    ("bilinear", "bilinear"),
+    ("cubic", "cubic"),
+    ("lanczos", PLAIN_LANCZOS),
+    ("lanczos", "lanczos"),
+];
+
+/// Kernels of this program that are measured with exact places, too.
+pub(super) const EXACT: [&str; 2] = ["cubic", "spline 5"];
 
 impl Way {
     pub(super) const fn new(program: Program, kernel: &'static str, places: Places) -> Self {
@@ -50,12 +60,10 @@ impl Way {
     /// All that are measured.
     pub(super) fn all() -> Vec<Self> {
         let ours = OURS.map(|kernel| Self::new(Program::Areoid, kernel, Places::Own));
-        let exact = ["cubic", "spline 5"].map(|k| Self::new(Program::Areoid, k, Places::Exact));
+        let exact = EXACT.map(|k| Self::new(Program::Areoid, k, Places::Exact));
         let theirs = [Program::GdalWarp, Program::Python].into_iter().flat_map(|program| {
             let places = [Places::Own, Places::Exact].into_iter();
-            places.flat_map(move |places| {
-                SHARED.map(|(kernel, _)| Self::new(program, kernel, places))
-            })
+            places.flat_map(move |places| THEIRS.map(|kernel| Self::new(program, kernel, places)))
         });
         ours.into_iter().chain(exact).chain(theirs).collect()
     }

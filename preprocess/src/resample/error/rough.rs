@@ -192,6 +192,7 @@ mod tests {
     const SIDE: usize = 6;
 
     /// The reconstruction at a place, of valid taps alone; `None` where others weigh too much.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "places in a page")]
     fn exact(texels: &[f32], holes: &[bool], [x, y]: [f64; 2]) -> Option<f64> {
         let [col, row] = [x, y].map(|place| place.floor().min((SIDE - 2) as f64));
         let (right, below) = (x - col, y - row);
