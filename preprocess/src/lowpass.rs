@@ -18,7 +18,8 @@
 //!
 //! The level is taken as extended: wrapped, turned over a pole, repeated past any other edge. What
 //! comes out is kept within the 144 texels, so that a cliff does not ring and every texel lies
-//! between finest ones, if not always between those under its page. Where one of the 144 is missing, the mean stays.
+//! between finest ones, if not always between those under its page. Where one of the 144 is missing,
+//! the mean stays.
 //!
 //! # Precision
 //!
