@@ -4,50 +4,37 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed};
 
-use areoid_formats::archive::{Archive, ArchiveError};
+use areoid_formats::archive::Archive;
 use areoid_formats::body::Body;
-use areoid_formats::catalog::{Catalog, CatalogError};
 use tokio::sync::oneshot;
 
 use crate::engine::Engine;
-use crate::scene::Scene;
-use crate::selection::DatasetInfo;
+use crate::follow::{self, Followed};
+use crate::open::{CacheError, Contents, newcomer, news};
+use crate::pages::PageSource;
+use crate::scene::{Newcomer, Scene};
+use crate::selection::{DatasetInfo, Datasets};
 use crate::session::Session;
-use crate::store::Stats;
+use crate::stats::Stats;
+use crate::store::Limits;
 
 /// How much a cache may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Options {
     /// Decoded pages, those being decoded included. Never passed.
     pub budget_bytes: usize,
+    /// Of that, what loads under way may hold. One load may always run.
+    pub in_flight_bytes: usize,
     /// Pages read or decoded at a time.
     pub concurrent_loads: usize,
 }
 
-/// Why a cache could not be opened, or a dataset not be added.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum CacheError {
-    /// The catalog, or an archive of it.
-    #[error(transparent)]
-    Catalog(#[from] CatalogError),
-
-    /// The index of an archive.
-    #[error("cannot read the index of {dataset}")]
-    Index {
-        /// The dataset.
-        dataset: String,
-        /// Why.
-        source: ArchiveError,
-    },
-
-    /// The system gave no threads.
-    #[error("cannot start threads to load pages")]
-    Threads(#[source] std::io::Error),
-
-    /// The opening was given up, or panicked.
-    #[error("opening the catalog was given up")]
-    GivenUp,
+impl Options {
+    /// A budget, of which loads under way may hold a quarter.
+    #[must_use]
+    pub fn with_budget(budget_bytes: usize) -> Self {
+        Self { budget_bytes, in_flight_bytes: budget_bytes / 4, concurrent_loads: 4 }
+    }
 }
 
 /// The pages of a catalog in memory, and the threads that load them.
@@ -85,7 +72,8 @@ impl Cache {
     /// Opens the catalog in `folder` as a skeleton: descriptions and the first blocks of indexes,
     /// no page. Returns at once.
     ///
-    /// A dataset that cannot be opened is left out and told by [`Self::problems`].
+    /// A dataset that cannot be opened is left out and told by [`Self::problems`]. What anybody
+    /// changes in the catalog afterwards, every session sees within a second.
     #[must_use]
     pub fn open(folder: &Path, options: Options) -> Opening {
         let progress = Arc::new((AtomicUsize::new(0), AtomicUsize::new(0)));
@@ -113,16 +101,39 @@ impl Cache {
         archives: Vec<(DatasetInfo, Arc<Archive>)>,
         options: Options,
     ) -> Result<Self, CacheError> {
-        let mut scene = Scene::empty(body.clone());
-        let mut problems = Vec::new();
-        for (info, archive) in archives {
-            let dataset = info.name.clone();
-            match scene.with(info, archive) {
-                Ok(with) => scene = with,
-                Err(source) => problems.push(CacheError::Index { dataset, source }),
+        let sources = archives.into_iter().map(|(info, archive)| (info, archive as _));
+        Self::with_sources(body, sources, options)
+    }
+
+    /// [`Self::with_archives`] of whatever has pages.
+    ///
+    /// # Errors
+    ///
+    /// The same.
+    pub fn with_sources(
+        body: Body,
+        sources: impl IntoIterator<Item = (DatasetInfo, Arc<dyn PageSource>)>,
+        options: Options,
+    ) -> Result<Self, CacheError> {
+        let (mut newcomers, mut problems) = (Vec::new(), Vec::new());
+        for (info, pages) in sources {
+            match newcomer(info, pages) {
+                Ok(newcomer) => newcomers.push(newcomer),
+                Err(error) => problems.push(error),
             }
         }
-        let engine = Engine::new(scene, options.budget_bytes, options.concurrent_loads);
+        Self::new(body, newcomers, problems, options)
+    }
+
+    fn new(
+        body: Body,
+        newcomers: Vec<Newcomer>,
+        problems: Vec<CacheError>,
+        options: Options,
+    ) -> Result<Self, CacheError> {
+        let scene = Scene::empty(body.clone()).changed(|_| false, newcomers);
+        let limits = Limits { loads: options.concurrent_loads.max(1), bytes: options.in_flight_bytes };
+        let engine = Engine::new(scene, options.budget_bytes, limits);
         let engine = Arc::new(engine.map_err(CacheError::Threads)?);
         Ok(Self { engine, body, next_session: AtomicU64::new(1), problems })
     }
@@ -135,8 +146,8 @@ impl Cache {
 
     /// The datasets of now. Waits while another thread replaces them.
     #[must_use]
-    pub fn datasets(&self) -> Arc<[DatasetInfo]> {
-        Arc::clone(&self.engine.shared().scene().infos)
+    pub fn datasets(&self) -> Datasets {
+        self.engine.shared().scene().infos()
     }
 
     /// Datasets that were left out when the cache was opened, and why.
@@ -145,21 +156,26 @@ impl Cache {
         &self.problems
     }
 
-    /// Makes one more dataset visible to every session, in one step. Waits for its index.
+    /// Makes a dataset visible to every session, in one step, and in the place of those of its name.
+    /// Waits for its index.
     ///
     /// # Errors
     ///
     /// [`CacheError::Index`]; nothing has changed then.
-    pub fn insert(&self, info: DatasetInfo, archive: Arc<Archive>) -> Result<(), CacheError> {
-        loop {
-            let before = self.engine.shared().scene();
-            let after = before
-                .with(info.clone(), Arc::clone(&archive))
-                .map_err(|source| CacheError::Index { dataset: info.name.clone(), source })?;
-            if self.engine.shared().replace_scene(&before, after) {
-                return Ok(());
-            }
+    pub fn insert(&self, info: DatasetInfo, pages: Arc<dyn PageSource>) -> Result<(), CacheError> {
+        let newcomer = newcomer(info.clone(), pages)?;
+        self.engine.change(|other| other.name == info.name, vec![newcomer]);
+        Ok(())
+    }
+
+    /// Takes a dataset from every session, in one step; whether there was one. Waits while another
+    /// thread replaces the datasets.
+    pub fn remove(&self, name: &str) -> bool {
+        let is_there = self.datasets().iter().any(|(_, info)| info.name == name);
+        if is_there {
+            self.engine.change(|info| info.name == name, Vec::new());
         }
+        is_there
     }
 
     /// A way in for one more rendering context. Waits for the store.
@@ -225,36 +241,12 @@ fn open_catalog(
     options: Options,
     progress: &(AtomicUsize, AtomicUsize),
 ) -> Result<Cache, CacheError> {
-    loop {
-        let catalog = Catalog::open(folder)?;
-        progress.0.store(0, Relaxed);
-        progress.1.store(catalog.datasets().len(), Relaxed);
-        let (mut archives, mut problems) = (Vec::new(), Vec::new());
-        let mut outdated = false;
-        for record in catalog.datasets() {
-            match catalog.archive(record) {
-                Ok(archive) => {
-                    let info = DatasetInfo {
-                        name: record.name.clone(),
-                        kind: record.kind,
-                        grid: archive.description().grid.clone(),
-                        priority: record.priority,
-                    };
-                    archives.push((info, Arc::new(archive)));
-                }
-                Err(error) => {
-                    // A file that is missing may be one that a newer generation dropped.
-                    outdated |= matches!(error, CatalogError::Missing { .. });
-                    problems.push(error.into());
-                }
-            }
-            progress.0.fetch_add(1, Relaxed);
-        }
-        if outdated && Catalog::open(folder)?.generation() > catalog.generation() {
-            continue;
-        }
-        let mut cache = Cache::with_archives(catalog.body().clone(), archives, options)?;
-        cache.problems.splice(0..0, problems);
-        return Ok(cache);
-    }
+    let news = news(folder, &Contents::new(), |opened, datasets| {
+        progress.1.store(datasets, Relaxed);
+        progress.0.store(opened, Relaxed);
+    })?;
+    let cache = Cache::new(news.body, news.newcomers, news.problems, options)?;
+    let (folder, generation, contents) = (folder.to_owned(), news.generation, news.contents);
+    follow::start(&cache.engine, Followed { folder, generation, contents });
+    Ok(cache)
 }

@@ -3,11 +3,18 @@
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
+use std::time::Duration;
 
 use tokio::runtime::{Builder, Handle, Runtime};
+use tokio::time::sleep;
 
 use crate::loader::Shared;
-use crate::scene::Scene;
+use crate::scene::{Newcomer, Scene};
+use crate::selection::DatasetInfo;
+use crate::store::Limits;
+
+/// How long sessions draw datasets that have been replaced or removed.
+pub(crate) const ADOPT_WITHIN: Duration = Duration::from_millis(500);
 
 /// The runtime and what its tasks work on.
 #[derive(Debug)]
@@ -20,14 +27,17 @@ pub(crate) struct Engine {
 }
 
 impl Engine {
-    pub(crate) fn new(scene: Scene, budget_bytes: usize, loads: usize) -> io::Result<Self> {
+    pub(crate) fn new(scene: Scene, budget_bytes: usize, limits: Limits) -> io::Result<Self> {
         let runtime = Builder::new_multi_thread()
             .worker_threads(1)
-            .max_blocking_threads(loads.max(1))
+            // One more looks at the catalog.
+            .max_blocking_threads(limits.loads + 1)
+            .enable_time()
             .thread_name("areoid-cache")
             .build()?;
-        let shared = Arc::new(Shared::new(scene, budget_bytes, loads));
+        let shared = Arc::new(Shared::new(scene, budget_bytes, limits));
         runtime.spawn(Arc::clone(&shared).dispatch());
+        runtime.spawn(Arc::clone(&shared).try_again());
         let (visited, repeated) = (AtomicU64::new(0), AtomicU64::new(0));
         Ok(Self { shared, runtime: Some(runtime), visited, repeated })
     }
@@ -38,6 +48,24 @@ impl Engine {
 
     pub(crate) fn handle(&self) -> &Handle {
         self.runtime.as_ref().expect("the runtime lives until the engine is dropped").handle()
+    }
+
+    /// Drops the datasets that `drop` is true for and takes in others, in one step that every
+    /// session hears of.
+    pub(crate) fn change(&self, drop: impl Fn(&DatasetInfo) -> bool, newcomers: Vec<Newcomer>) {
+        loop {
+            let before = self.shared.scene();
+            let after = before.changed(&drop, newcomers.iter().cloned());
+            if self.shared.replace_scene(&before, after) {
+                break;
+            }
+        }
+        // Sessions that still draw what was before are told when they have to stop.
+        let shared = Arc::clone(&self.shared);
+        self.handle().spawn(async move {
+            sleep(ADOPT_WITHIN).await;
+            shared.tell();
+        });
     }
 }
 

@@ -11,7 +11,13 @@ pub mod view;
 
 pub mod selection;
 
+pub mod pages;
+
+pub mod stats;
+
 mod scene;
+
+mod memo;
 
 mod search;
 
@@ -21,14 +27,24 @@ mod loader;
 
 mod engine;
 
+mod motion;
+
+mod matching;
+
 mod session;
+
+mod open;
+
+mod follow;
 
 mod cache;
 
-pub use cache::{Cache, CacheError, Opening, Options, Progress};
-pub use selection::{DatasetInfo, FailedPage, ResidentPage, Selection};
+pub use cache::{Cache, Opening, Options, Progress};
+pub use open::CacheError;
+pub use pages::PageSource;
+pub use selection::{DatasetInfo, Datasets, FailedPage, ResidentPage, Selection};
 pub use session::Session;
-pub use store::Stats;
+pub use stats::Stats;
 pub use view::View;
 
 #[cfg(test)]

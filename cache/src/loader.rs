@@ -10,15 +10,18 @@
 
 use std::sync::atomic::AtomicUsize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
-use areoid_formats::archive::{ArchiveError, decode_page};
+use areoid_formats::archive::ArchiveError;
 use tokio::runtime::Handle;
 use tokio::sync::{Notify, watch};
+use tokio::time::{Instant, sleep};
 use tracing::{debug, trace};
 
 use crate::scene::Scene;
 use crate::selection::ResidentPage;
-use crate::store::{Outcome, PageName, Request, Stats, Store, Work};
+use crate::stats::Stats;
+use crate::store::{Limits, Outcome, PageName, Request, Store, Work};
 
 /// What sessions and loads share.
 #[derive(Debug)]
@@ -29,18 +32,16 @@ pub(crate) struct Shared {
     /// Counts everything that may change a selection.
     news: watch::Sender<u64>,
     pub(crate) sessions: AtomicUsize,
-    most_loads: usize,
 }
 
 impl Shared {
-    pub(crate) fn new(scene: Scene, budget_bytes: usize, most_loads: usize) -> Self {
+    pub(crate) fn new(scene: Scene, budget_bytes: usize, limits: Limits) -> Self {
         Self {
-            store: Mutex::new(Store::new(budget_bytes)),
+            store: Mutex::new(Store::new(budget_bytes, limits)),
             scene: Mutex::new(Arc::new(scene)),
             wake: Notify::new(),
             news: watch::Sender::new(0),
             sessions: AtomicUsize::new(0),
-            most_loads: most_loads.max(1),
         }
     }
 
@@ -76,8 +77,12 @@ impl Shared {
         if current {
             *scene = Arc::new(after);
         }
+        let after = Arc::clone(&scene);
         drop(scene);
-        self.tell();
+        if current {
+            self.store().forget(|number| after.place(number).is_none());
+            self.tell();
+        }
         current
     }
 
@@ -94,7 +99,7 @@ impl Shared {
         self.wake.notify_one();
     }
 
-    fn tell(&self) {
+    pub(crate) fn tell(&self) {
         self.news.send_modify(|news| *news = news.wrapping_add(1));
     }
 
@@ -110,7 +115,7 @@ impl Shared {
             loop {
                 let (request, stalled) = {
                     let mut store = self.store();
-                    (store.next(self.most_loads), store.stalled)
+                    (store.next(), store.stalled)
                 };
                 let Some(request) = request else {
                     if stalled {
@@ -121,6 +126,29 @@ impl Shared {
                 let load = Load { shared: Arc::clone(&self), work: request.work, ended: false };
                 runtime.spawn_blocking(move || load.run(&request));
             }
+        }
+    }
+}
+
+impl Shared {
+    /// How often it is looked whether something that failed may be tried again.
+    const LOOK_EVERY: Duration = Duration::from_millis(250);
+
+    /// Tells sessions when what failed may be tried again, for as long as the runtime lives.
+    ///
+    /// # Cancel safety
+    ///
+    /// It may be dropped at any time.
+    pub(crate) async fn try_again(self: Arc<Self>) {
+        let mut last = Instant::now();
+        loop {
+            sleep(Self::LOOK_EVERY).await;
+            let now = Instant::now();
+            let is_due = self.store().has_attempt(last, now);
+            if is_due {
+                self.tell();
+            }
+            last = now;
         }
     }
 }
@@ -153,22 +181,21 @@ impl Load {
 
     fn read(&self, request: &Request) -> Result<Outcome, ArchiveError> {
         let PageName { dataset, page } = self.work.name();
-        let scene = self.shared.scene();
-        let archive = &scene.datasets[dataset].archive;
+        let pages = &request.dataset.pages;
         if self.shared.store().cancel_if_unwanted(self.work) {
             return Ok(Outcome::Cancelled);
         }
         if let Work::Children(_) = self.work {
-            for child in archive.description().grid.pyramid().children(page) {
-                archive.find(child)?;
+            for child in request.dataset.info.grid.pyramid().children(page) {
+                pages.find(child)?;
             }
             return Ok(Outcome::Loaded(None));
         }
-        let payload = archive.payload(&request.entry)?;
+        let payload = pages.payload(&request.entry)?;
         if self.shared.store().cancel_if_unwanted(self.work) {
             return Ok(Outcome::Cancelled);
         }
-        let texels = decode_page(archive.description(), &request.entry, &payload)?;
+        let texels = pages.decode(&request.entry, &payload)?;
         let resident = ResidentPage { dataset, entry: request.entry, page: texels };
         Ok(Outcome::Loaded(Some(Arc::new(resident))))
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use areoid_formats::address::{Level, PageAddress};
-use areoid_formats::archive::{Archive, ArchiveError, PageEntry};
+use areoid_formats::archive::{ArchiveError, PageEntry};
 use areoid_formats::body::Body;
 use areoid_formats::bounds::Aabb;
 use areoid_formats::bvh::Bvh;
@@ -13,24 +13,36 @@ use areoid_formats::projection::Crs;
 use areoid_formats::units::Meters;
 use areoid_formats::volume::Volume;
 
-use crate::selection::DatasetInfo;
+use crate::pages::PageSource;
+use crate::selection::{DatasetInfo, Datasets};
 
-/// All datasets of one moment. Adding one makes a new scene; places of datasets never change.
+/// All datasets of one moment. A change makes a new scene.
 #[derive(Clone, Debug)]
 pub(crate) struct Scene {
-    pub(crate) infos: Arc<[DatasetInfo]>,
-    pub(crate) datasets: Vec<Dataset>,
-    /// Over the root volumes, by place in `datasets`.
+    /// How often it has changed.
+    pub(crate) generation: u64,
+    /// By number, ascending.
+    pub(crate) datasets: Vec<Arc<Dataset>>,
+    /// Over the root volumes, by number.
     pub(crate) tree: Bvh,
     body: Body,
-    /// Least and greatest height of the terrain, the reference surface included.
+    /// Least and greatest height of the terrain that there ever was, the reference surface included.
     heights: [f64; 2],
+    /// What the next dataset will be called.
+    next: u32,
+    /// Changes of the tree since it was built anew.
+    changes: usize,
 }
 
-#[derive(Clone, Debug)]
+/// A dataset as the search sees it.
+#[derive(Debug)]
 pub(crate) struct Dataset {
-    pub(crate) archive: Arc<Archive>,
-    pub(crate) roots: Vec<PageEntry>,
+    pub(crate) number: usize,
+    pub(crate) info: Arc<DatasetInfo>,
+    pub(crate) pages: Arc<dyn PageSource>,
+    pub(crate) roots: Vec<Node>,
+    /// The terrain that colors lie on.
+    heights: [f64; 2],
 }
 
 /// A page as the search sees it.
@@ -42,47 +54,97 @@ pub(crate) struct Node {
     pub(crate) texel_m: f64,
 }
 
-impl Scene {
-    pub(crate) fn empty(body: Body) -> Self {
-        let (infos, tree) = (Arc::from([]), Bvh::default());
-        Self { infos, datasets: Vec::new(), tree, body, heights: [0.0; 2] }
-    }
+/// A dataset to be, with what is known of its roots.
+#[derive(Clone, Debug)]
+pub(crate) struct Newcomer {
+    info: Arc<DatasetInfo>,
+    pages: Arc<dyn PageSource>,
+    roots: Vec<PageEntry>,
+}
 
-    /// The scene with one more dataset. Reads the blocks of its index that lead to its roots.
-    pub(crate) fn with(
-        &self,
-        info: DatasetInfo,
-        archive: Arc<Archive>,
-    ) -> Result<Self, ArchiveError> {
+impl Newcomer {
+    /// Reads the blocks of the index that lead to its roots.
+    pub(crate) fn new(info: DatasetInfo, pages: Arc<dyn PageSource>) -> Result<Self, ArchiveError> {
         let pyramid = info.grid.pyramid();
         let (rows, cols) = pyramid.pages(Level(0)).expect("a pyramid has a coarsest level");
         let mut roots = Vec::new();
         for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
-            roots.extend(archive.find(PageAddress::new(Level(0), row, col))?);
+            roots.extend(pages.find(PageAddress::new(Level(0), row, col))?);
         }
+        Ok(Self { info: Arc::new(info), pages, roots })
+    }
+}
 
+impl Scene {
+    pub(crate) fn empty(body: Body) -> Self {
+        let tree = Bvh::default();
+        let (datasets, heights) = (Vec::new(), [0.0; 2]);
+        Self { generation: 0, datasets, tree, body, heights, next: 0, changes: 0 }
+    }
+
+    /// The scene without the datasets that `drop` is true for, and with others.
+    pub(crate) fn changed(
+        &self,
+        drop: impl Fn(&DatasetInfo) -> bool,
+        newcomers: impl IntoIterator<Item = Newcomer>,
+    ) -> Self {
         let mut scene = self.clone();
-        if info.kind == Kind::Height {
-            for root in &roots {
+        scene.generation += 1;
+        for gone in scene.datasets.extract_if(.., |dataset| drop(&dataset.info)) {
+            scene.tree.remove(gone.item());
+            scene.changes += 1;
+        }
+        let newcomers: Vec<Newcomer> = newcomers.into_iter().collect();
+        for newcomer in newcomers.iter().filter(|newcomer| newcomer.info.kind == Kind::Height) {
+            for root in &newcomer.roots {
                 // A NaN is no height: `min` and `max` pass it over.
                 scene.heights[0] = scene.heights[0].min(f64::from(root.lowest));
                 scene.heights[1] = scene.heights[1].max(f64::from(root.highest));
             }
         }
-        scene.infos = self.infos.iter().cloned().chain([info]).collect();
-        scene.datasets.push(Dataset { archive, roots });
-        // Colors lie on the terrain: their boxes follow its heights.
-        let moved = scene.heights != self.heights;
-        let first = if moved { 0 } else { self.datasets.len() };
-        for place in first..scene.datasets.len() {
-            let whole = scene.datasets[place]
-                .roots
-                .iter()
-                .fold(Aabb::EMPTY, |whole, root| whole.union(&scene.volume(place, root).aabb()));
-            let item = u32::try_from(place).expect("fewer than 2^32 datasets");
-            scene.tree.insert(item, whole);
+        if scene.heights != self.heights {
+            // Colors lie on the terrain: their boxes follow its heights.
+            let heights = scene.heights;
+            for dataset in scene.datasets.iter_mut().filter(|dataset| dataset.is_laid_on()) {
+                let moved = dataset.on(heights);
+                scene.tree.insert(moved.item(), moved.bounds());
+                scene.changes += 1;
+                *dataset = Arc::new(moved);
+            }
         }
-        Ok(scene)
+        for Newcomer { info, pages, roots } in newcomers {
+            let number = scene.next as usize;
+            scene.next = scene.next.checked_add(1).expect("fewer than 2^32 datasets ever");
+            let dataset = Dataset::new(number, info, pages, roots, scene.heights);
+            scene.tree.insert(dataset.item(), dataset.bounds());
+            scene.changes += 1;
+            scene.datasets.push(Arc::new(dataset));
+        }
+        scene.keep_tree();
+        scene
+    }
+
+    /// Builds the tree anew once half of it has changed, if that makes it better.
+    fn keep_tree(&mut self) {
+        const FEW: usize = 64;
+        if self.changes > FEW.max(self.datasets.len() / 2) {
+            let boxes = self.datasets.iter().map(|dataset| (dataset.item(), dataset.bounds()));
+            let fresh = Bvh::build(boxes);
+            if fresh.cost() < self.tree.cost() {
+                self.tree = fresh;
+            }
+            self.changes = 0;
+        }
+    }
+
+    /// Where the dataset of a number stands.
+    pub(crate) fn place(&self, number: usize) -> Option<usize> {
+        self.datasets.binary_search_by_key(&number, |dataset| dataset.number).ok()
+    }
+
+    /// What there is to say of all datasets.
+    pub(crate) fn infos(&self) -> Datasets {
+        self.datasets.iter().map(|dataset| (dataset.number, Arc::clone(&dataset.info))).collect()
     }
 
     /// A sphere below all terrain.
@@ -95,38 +157,84 @@ impl Scene {
         // Boxes of colors and of heights end here too, but for rounding.
         Meters((self.body.ellipsoid.a().0 + self.heights[1]) * (1.0 + 1e-6))
     }
+}
+
+impl Dataset {
+    fn new(
+        number: usize,
+        info: Arc<DatasetInfo>,
+        pages: Arc<dyn PageSource>,
+        roots: Vec<PageEntry>,
+        heights: [f64; 2],
+    ) -> Self {
+        let mut dataset = Self { number, info, pages, roots: Vec::new(), heights };
+        dataset.roots = roots.into_iter().map(|entry| dataset.node(entry)).collect();
+        dataset
+    }
+
+    /// The same on another terrain.
+    fn on(&self, heights: [f64; 2]) -> Self {
+        let roots = self.roots.iter().map(|root| root.entry).collect();
+        Self::new(self.number, Arc::clone(&self.info), Arc::clone(&self.pages), roots, heights)
+    }
+
+    /// Whether it lies on a terrain, and is none.
+    fn is_laid_on(&self) -> bool {
+        self.info.kind != Kind::Height
+    }
+
+    /// Its number in the tree.
+    fn item(&self) -> u32 {
+        u32::try_from(self.number).expect("numbers are counted in 32 bits")
+    }
+
+    fn bounds(&self) -> Aabb {
+        self.roots.iter().fold(Aabb::EMPTY, |whole, root| whole.union(&root.volume.aabb()))
+    }
+
+    /// The terrain that its volumes depend on.
+    pub(crate) fn terrain(&self) -> Option<[f64; 2]> {
+        self.is_laid_on().then_some(self.heights)
+    }
+
+    /// Bytes of a decoded page.
+    pub(crate) fn page_bytes(&self, entry: &PageEntry) -> usize {
+        let per_texel = match self.info.kind {
+            Kind::Height => size_of::<f32>(),
+            Kind::Color | Kind::Normal => 3,
+        };
+        self.texels() * (per_texel + usize::from(!entry.full))
+    }
+
+    /// Texels of a page, its border included.
+    pub(crate) fn texels(&self) -> usize {
+        let side = self.info.grid.pyramid().page_side() as usize;
+        side * side
+    }
 
     /// What the search has to know of a page.
-    pub(crate) fn node(&self, dataset: usize, entry: PageEntry) -> Node {
-        let info = &self.infos[dataset];
-        let texel_m = match info.kind {
+    pub(crate) fn node(&self, entry: PageEntry) -> Node {
+        let Self { info, heights, .. } = self;
+        let (texel_m, [lowest, highest]) = match info.kind {
             Kind::Height => {
                 let halvings = f64::from(info.grid.pyramid().halvings(entry.page.level));
-                info.grid.nominal_pixel().0 * halvings.exp2()
+                let texel_m = info.grid.nominal_pixel().0 * halvings.exp2();
+                (texel_m, [entry.lowest, entry.highest].map(f64::from))
             }
-            Kind::Color | Kind::Normal => largest_texel(&info.grid, entry.page),
+            Kind::Color | Kind::Normal => (largest_texel(&info.grid, entry.page), *heights),
         };
-        Node { entry, volume: self.volume(dataset, &entry), texel_m }
+        let volume = Volume::new(&info.grid, entry.page, Meters(lowest), Meters(highest));
+        Node { entry, volume, texel_m }
     }
 
     /// Children of a page that have data, or `None` if the index has to be read first. Never
     /// waits.
-    pub(crate) fn children(&self, dataset: usize, page: PageAddress) -> Option<Vec<Node>> {
-        let archive = &self.datasets[dataset].archive;
-        let mut children = Vec::new();
-        for child in self.infos[dataset].grid.pyramid().children(page) {
-            children.extend(archive.find_resident(child)?.map(|entry| self.node(dataset, entry)));
+    pub(crate) fn children(&self, page: PageAddress) -> Option<Vec<Node>> {
+        let mut children = Vec::with_capacity(4);
+        for child in self.info.grid.pyramid().children(page) {
+            children.extend(self.pages.find_resident(child)?.map(|entry| self.node(entry)));
         }
         Some(children)
-    }
-
-    fn volume(&self, dataset: usize, entry: &PageEntry) -> Volume {
-        let info = &self.infos[dataset];
-        let [lowest, highest] = match info.kind {
-            Kind::Height => [entry.lowest, entry.highest].map(f64::from),
-            Kind::Color | Kind::Normal => self.heights,
-        };
-        Volume::new(&info.grid, entry.page, Meters(lowest), Meters(highest))
     }
 }
 

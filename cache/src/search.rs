@@ -1,9 +1,13 @@
-//! Which pages a view needs: a refinement from the roots, the largest error on the screen first.
+//! Which pages some views need: a refinement from the roots, the largest error on the screen first.
 //!
 //! A page whose error is above the tolerance gives way to its children; what is left are the
 //! *wanted* pages. Because the worst page is always the next to give way, the search can end
 //! anywhere: what it has then is the best picture for its bytes, and the error of the page it
-//! ended at is the tolerance that it meets.
+//! ended at is the tolerance that it meets. A root that is not drawn at all is off by its own size
+//! on the screen, and takes its turn among the others.
+//!
+//! Several views, of two eyes or of a wall's tiles, make one search: a page is as bad as it is in
+//! the view that it is worst in.
 //!
 //! Bounds and volumes nest, boxes do not: distance and angle are kept at least as favorable as the
 //! parent's, so that errors fall from parent to child and the order above is one.
@@ -14,30 +18,37 @@
 //! * White 2011, chapter 4: the search over a BVH of datasets with a quadtree each.
 
 use std::cmp::Ordering;
-use std::collections::{BinaryHeap, HashMap};
+use std::collections::BinaryHeap;
 
-use areoid_formats::address::PageAddress;
-use areoid_formats::archive::PageEntry;
 use areoid_formats::page::Kind;
-use areoid_formats::volume::Horizon;
 
+use crate::memo::Memo;
 use crate::scene::{Node, Scene};
 use crate::view::{Lens, View};
 
 /// A page in sight.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Seen {
+    /// Its dataset's place in the scene.
     pub(crate) dataset: usize,
     pub(crate) node: Node,
     /// Its place in [`Found::seen`].
     pub(crate) parent: Option<usize>,
+    /// From the nearest eye that sees it.
     pub(crate) distance: f64,
-    cosine: f64,
-    /// Its error on the screen.
+    /// Its error on the screen, in pixels of the first view.
     pub(crate) pixels: f64,
 }
 
-/// What a search found.
+/// How one view sees a page.
+#[derive(Clone, Copy, Debug)]
+struct Sight {
+    /// Infinite if it does not.
+    distance: f64,
+    cosine: f64,
+}
+
+/// What a search found; kept for the next one, so that it need not be allocated again.
 #[derive(Debug, Default)]
 pub(crate) struct Found {
     /// Wanted pages and all of their ancestors: a parent stands before its children.
@@ -49,108 +60,81 @@ pub(crate) struct Found {
     pub(crate) tolerance_px: f64,
     pub(crate) visited: usize,
     pub(crate) culled: usize,
+    /// One for each view, of each in `seen`.
+    sights: Vec<Sight>,
+    roots: Vec<Seen>,
+    root_sights: Vec<Sight>,
+    heap: BinaryHeap<Candidate>,
+    lenses: Vec<Lens>,
+    datasets: Vec<usize>,
 }
 
-/// Children of the pages that recent searches refined. Volumes cost more than the rest of a
-/// search.
-#[derive(Debug, Default)]
-pub(crate) struct Memo {
-    children: HashMap<(usize, PageAddress), (u64, Vec<Node>)>,
-    clock: u64,
-    used: usize,
+/// What is next: a page to give way to its children, or a root to be drawn at all.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    pixels: f64,
+    place: usize,
+    step: Step,
 }
 
-/// Bytes of a decoded page.
-pub(crate) fn page_bytes(scene: &Scene, dataset: usize, entry: &PageEntry) -> usize {
-    let info = &scene.infos[dataset];
-    let side = info.grid.pyramid().page_side() as usize;
-    let per_texel = match info.kind {
-        Kind::Height => size_of::<f32>(),
-        Kind::Color | Kind::Normal => 3,
-    };
-    side * side * (per_texel + usize::from(!entry.full))
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Step {
+    /// `place` is one in `seen`.
+    Refine,
+    /// `place` is one in `roots`.
+    Draw,
 }
 
-/// The pages that `view` needs, with their ancestors within `allowance` bytes.
-pub(crate) fn search(scene: &Scene, memo: &mut Memo, view: &View, allowance: usize) -> Found {
+/// The pages that `views` need, with their ancestors within `allowance` bytes. No view needs none.
+pub(crate) fn search(
+    scene: &Scene,
+    memo: &mut Memo,
+    views: &[View],
+    allowance: usize,
+    found: &mut Found,
+) {
     memo.begin();
-    let lens = Lens::new(view);
-    let horizon = Horizon::new(view.eye, scene.inscribed_radius());
-    let search = Search { scene, lens: &lens, horizon };
-    let mut found = Found { tolerance_px: view.tolerance_px, ..Found::default() };
+    found.clear();
+    let Some(first) = views.first() else {
+        memo.end();
+        return;
+    };
+    found.tolerance_px = first.tolerance_px;
+    found.lenses.extend(views.iter().map(|view| Lens::new(view, scene.inscribed_radius())));
+    let mut lenses = std::mem::take(&mut found.lenses);
+    let search = Search { scene, views, lenses: &lenses };
 
-    let mut roots = search.roots(&mut found);
-    // If not even the roots fit, those that matter least stay away.
-    roots.sort_by(|one, other| other.pixels.total_cmp(&one.pixels));
+    search.find_roots(found);
     let mut bytes = 0;
-    let mut heap = BinaryHeap::new();
-    for root in roots {
-        let more = page_bytes(scene, root.dataset, &root.node.entry);
-        if bytes + more > allowance {
-            found.tolerance_px = f64::INFINITY;
-            break;
-        }
-        bytes += more;
-        heap.push(Candidate { pixels: root.pixels, place: found.seen.len() });
-        found.seen.push(root);
-    }
-
-    let mut children = Vec::new();
-    while let Some(Candidate { pixels, place }) = heap.pop() {
-        let parent = found.seen[place];
-        let page = parent.node.entry.page;
-        let finest = scene.infos[parent.dataset].grid.pyramid().finest();
-        if pixels <= found.tolerance_px {
-            // So are all the others.
-            found.wanted.push(place);
-            found.wanted.extend(heap.drain().map(|candidate| candidate.place));
-            break;
-        }
-        if page.level == finest {
-            found.wanted.push(place);
-            continue;
-        }
-        let Some(nodes) = memo.children(scene, parent.dataset, page) else {
-            found.wanted.push(place);
-            found.unindexed.push(place);
-            continue;
-        };
-        let known = !nodes.is_empty();
-        children.clear();
-        for &node in nodes {
-            children.extend(search.look_at(
-                parent.dataset,
-                node,
-                Some((place, parent)),
-                &mut found,
-            ));
-        }
-        let more: usize = children
-            .iter()
-            .map(|child: &Seen| page_bytes(scene, child.dataset, &child.node.entry))
-            .sum();
-        if !known {
-            found.wanted.push(place);
-        } else if bytes + more > allowance {
-            found.tolerance_px = pixels;
-            found.wanted.push(place);
-        } else {
-            bytes += more;
-            for &child in &children {
-                heap.push(Candidate { pixels: child.pixels, place: found.seen.len() });
-                found.seen.push(child);
+    while let Some(Candidate { pixels, place, step }) = found.heap.pop() {
+        if step == Step::Draw {
+            let root = found.roots[place];
+            let more = scene.datasets[root.dataset].page_bytes(&root.node.entry);
+            if bytes + more <= allowance {
+                bytes += more;
+                search.draw(place, found);
+            } else {
+                found.tolerance_px = found.tolerance_px.max(pixels);
             }
+            continue;
         }
+        if pixels <= found.tolerance_px {
+            // So are all the others, but roots may be left that are larger than their errors.
+            found.wanted.push(place);
+            continue;
+        }
+        search.refine(place, (&mut bytes, allowance), memo, found);
     }
-    search.drop_unseen(memo, &mut found);
+    search.drop_unseen(memo, found);
     memo.end();
-    found
+    lenses.clear();
+    found.lenses = lenses;
 }
 
 struct Search<'a> {
     scene: &'a Scene,
-    lens: &'a Lens,
-    horizon: Option<Horizon>,
+    views: &'a [View],
+    lenses: &'a [Lens],
 }
 
 impl Search<'_> {
@@ -158,139 +142,210 @@ impl Search<'_> {
     const THICK: f64 = 12.0;
 
     /// The roots in sight, through the tree over the datasets.
-    fn roots(&self, found: &mut Found) -> Vec<Seen> {
+    fn find_roots(&self, found: &mut Found) {
         let greatest = self.scene.greatest_radius();
-        let mut datasets = Vec::new();
+        let mut datasets = std::mem::take(&mut found.datasets);
+        let mut visited = 0;
         self.scene.tree.visit(
             |bounds| {
-                let hidden =
-                    self.horizon.is_some_and(|horizon| horizon.hides_box(bounds, greatest));
-                !hidden && !bounds.outside(&self.lens.frustum)
+                visited += 1;
+                self.lenses.iter().any(|lens| !lens.misses_box(bounds, greatest))
             },
-            |dataset| datasets.push(dataset as usize),
+            |number| datasets.extend(self.scene.place(number as usize)),
         );
+        found.visited += visited;
         datasets.sort_unstable();
-        let mut roots = Vec::new();
-        for dataset in datasets {
-            for &entry in &self.scene.datasets[dataset].roots {
-                let node = self.scene.node(dataset, entry);
-                roots.extend(self.look_at(dataset, node, None, found));
+        for dataset in datasets.drain(..) {
+            for &node in &self.scene.datasets[dataset].roots {
+                let mark = found.root_sights.len();
+                let mut sights = std::mem::take(&mut found.root_sights);
+                if let Some(root) = self.look_at(dataset, node, None, &mut sights, found) {
+                    // Nearer than its own size, it is as large as can be.
+                    let extent = 2.0 * node.volume.bounds().radius();
+                    let size = self.worst(extent, &sights[mark..]);
+                    let pixels = size.max(root.pixels);
+                    let place = found.roots.len();
+                    found.heap.push(Candidate { pixels, place, step: Step::Draw });
+                    found.roots.push(root);
+                } else {
+                    sights.truncate(mark);
+                }
+                found.root_sights = sights;
             }
         }
-        roots
+        found.datasets = datasets;
+    }
+
+    /// Takes a root in.
+    fn draw(&self, place: usize, found: &mut Found) {
+        let root = found.roots[place];
+        let views = self.lenses.len();
+        let (place, sights) = (found.seen.len(), place * views..(place + 1) * views);
+        found.sights.extend_from_slice(&found.root_sights[sights]);
+        found.seen.push(root);
+        found.heap.push(Candidate { pixels: root.pixels, place, step: Step::Refine });
+    }
+
+    /// Puts a page's children in its place, if they are known and there is room for them.
+    fn refine(
+        &self,
+        place: usize,
+        (bytes, allowance): (&mut usize, usize),
+        memo: &mut Memo,
+        found: &mut Found,
+    ) {
+        let parent = found.seen[place];
+        let dataset = &self.scene.datasets[parent.dataset];
+        let page = parent.node.entry.page;
+        if page.level == dataset.info.grid.pyramid().finest() {
+            found.wanted.push(place);
+            return;
+        }
+        let Some(nodes) = memo.children(dataset, page) else {
+            found.wanted.push(place);
+            found.unindexed.push(place);
+            return;
+        };
+        if nodes.is_empty() {
+            found.wanted.push(place);
+            return;
+        }
+        let (first, first_sight) = (found.seen.len(), found.sights.len());
+        let mut sights = std::mem::take(&mut found.sights);
+        let mut more = 0;
+        for &node in nodes {
+            let child = self.look_at(parent.dataset, node, Some(place), &mut sights, found);
+            if let Some(child) = child {
+                more += dataset.page_bytes(&child.node.entry);
+                found.seen.push(child);
+            }
+        }
+        found.sights = sights;
+        if *bytes + more > allowance {
+            found.seen.truncate(first);
+            found.sights.truncate(first_sight);
+            found.tolerance_px = parent.pixels;
+            found.wanted.push(place);
+            return;
+        }
+        *bytes += more;
+        for place in first..found.seen.len() {
+            let pixels = found.seen[place].pixels;
+            found.heap.push(Candidate { pixels, place, step: Step::Refine });
+        }
     }
 
     /// Drops wanted pages of which no child is in sight: a thick box reaches around corners that
     /// its four parts do not. Children without data say nothing about what the page shows there.
     fn drop_unseen(&self, memo: &mut Memo, found: &mut Found) {
-        let mut wanted = std::mem::take(&mut found.wanted);
+        let Found { wanted, seen, visited, culled, .. } = found;
         wanted.retain(|&place| {
-            let Seen { dataset, node, .. } = found.seen[place];
+            let Seen { dataset, node, .. } = seen[place];
+            let dataset = &self.scene.datasets[dataset];
             let half = node.volume.bounds().half;
-            let (page, pyramid) = (node.entry.page, self.scene.infos[dataset].grid.pyramid());
+            let (page, pyramid) = (node.entry.page, dataset.info.grid.pyramid());
             if page.level == pyramid.finest() || Self::THICK * half.z < half.x.min(half.y) {
                 return true;
             }
-            let Some(children) = memo.children(self.scene, dataset, page) else { return true };
-            found.visited += children.len();
+            let Some(children) = memo.children(dataset, page) else { return true };
+            *visited += children.len();
             let known = children.len() == pyramid.children(page).count();
             let unseen = known && children.iter().all(|child| self.is_out_of_sight(child));
-            found.culled += usize::from(unseen);
+            *culled += usize::from(unseen);
             !unseen
         });
-        found.wanted = wanted;
     }
 
     fn is_out_of_sight(&self, node: &Node) -> bool {
-        let hidden = self.horizon.is_some_and(|horizon| node.volume.hidden_by(&horizon));
-        hidden || node.volume.outside(&self.lens.frustum) || node.entry.valid_fraction <= 0.0
+        node.entry.valid_fraction <= 0.0
+            || self.lenses.iter().all(|lens| lens.misses(&node.volume))
     }
 
-    /// A page as it is seen, or `None` if it is not.
+    /// A page as it is seen, one sight for each view; or `None`, and none, if it is not.
     fn look_at(
         &self,
         dataset: usize,
         node: Node,
-        parent: Option<(usize, Seen)>,
+        parent: Option<usize>,
+        sights: &mut Vec<Sight>,
         found: &mut Found,
     ) -> Option<Seen> {
         found.visited += 1;
-        let volume = &node.volume;
-        if self.is_out_of_sight(&node) {
+        let mark = sights.len();
+        let views = self.lenses.len();
+        let mut texel_m = node.texel_m;
+        if let Some(place) = parent {
+            texel_m = texel_m.min(found.seen[place].node.texel_m);
+        }
+        let mut nearest = f64::INFINITY;
+        for (number, lens) in self.lenses.iter().enumerate() {
+            // Of a root, the caller has taken the sights of pages found before.
+            let above = parent.map(|place| sights[place * views + number]);
+            let unseen = node.entry.valid_fraction <= 0.0
+                || above.is_some_and(|above| above.distance.is_infinite())
+                || lens.misses(&node.volume);
+            if unseen {
+                sights.push(Sight { distance: f64::INFINITY, cosine: 1.0 });
+                continue;
+            }
+            let mut distance = node.volume.distance_from(lens.eye).0;
+            let mut cosine = node.volume.least_cosine(lens.eye, lens.axis).max(lens.corner_cosine);
+            if let Some(above) = above {
+                distance = distance.max(above.distance);
+                cosine = cosine.max(above.cosine);
+            }
+            nearest = nearest.min(distance);
+            sights.push(Sight { distance, cosine });
+        }
+        if nearest.is_infinite() {
+            sights.truncate(mark);
             found.culled += 1;
             return None;
         }
-        let mut distance = volume.distance_from(self.lens.eye).0;
-        let mut cosine = volume.least_cosine(self.lens.eye, self.lens.axis);
-        cosine = cosine.max(self.lens.corner_cosine);
-        let mut texel_m = node.texel_m;
-        if let Some((_, parent)) = parent {
-            distance = distance.max(parent.distance);
-            cosine = cosine.max(parent.cosine);
-            texel_m = texel_m.min(parent.node.texel_m);
-        }
         let bound = f64::from(node.entry.bound);
-        let error_m = match self.scene.infos[dataset].kind {
+        let error_m = match self.scene.datasets[dataset].info.kind {
             Kind::Height => bound,
             // Less than half a code is not seen.
             Kind::Color | Kind::Normal if bound < 0.5 => 0.0,
             Kind::Color | Kind::Normal => texel_m,
         };
-        let pixels = self.lens.pixels(error_m, distance, cosine);
+        let pixels = self.worst(error_m, &sights[mark..]);
         let node = Node { texel_m, ..node };
-        let parent = parent.map(|(place, _)| place);
-        Some(Seen { dataset, node, parent, distance, cosine, pixels })
+        Some(Seen { dataset, node, parent, distance: nearest, pixels })
+    }
+
+    /// How large a length is in the view in which it is largest for its tolerance, in pixels of the
+    /// first one.
+    fn worst(&self, length_m: f64, sights: &[Sight]) -> f64 {
+        let first = self.views[0].tolerance_px;
+        let all = self.lenses.iter().zip(self.views).zip(sights);
+        let seen = all.filter(|(_, sight)| sight.distance.is_finite());
+        let pixels = seen.map(|((lens, view), sight)| {
+            lens.pixels(length_m, sight.distance, sight.cosine) * (first / view.tolerance_px)
+        });
+        pixels.fold(0.0, f64::max)
     }
 }
 
-impl Memo {
-    /// More than so many lists, and twice what the last search used, are not kept.
-    const MOST_LISTS: usize = 16_384;
-
-    /// Forgets everything: volumes may have changed.
-    pub(crate) fn clear(&mut self) {
-        self.children.clear();
-    }
-
-    fn begin(&mut self) {
-        self.clock += 1;
-        self.used = 0;
-    }
-
-    fn children(&mut self, scene: &Scene, dataset: usize, page: PageAddress) -> Option<&[Node]> {
-        use std::collections::hash_map::Entry;
-        self.used += 1;
-        match self.children.entry((dataset, page)) {
-            Entry::Occupied(entry) => {
-                let (stamp, nodes) = entry.into_mut();
-                *stamp = self.clock;
-                Some(nodes)
-            }
-            Entry::Vacant(entry) => {
-                let nodes = scene.children(dataset, page)?;
-                Some(&entry.insert((self.clock, nodes)).1)
-            }
-        }
-    }
-
-    fn end(&mut self) {
-        if self.children.len() > Self::MOST_LISTS.max(2 * self.used) {
-            let clock = self.clock;
-            self.children.retain(|_, (stamp, _)| *stamp == clock);
-        }
+impl Found {
+    fn clear(&mut self) {
+        let Self { seen, wanted, unindexed, sights, roots, root_sights, heap, .. } = self;
+        seen.clear();
+        wanted.clear();
+        unindexed.clear();
+        sights.clear();
+        roots.clear();
+        root_sights.clear();
+        heap.clear();
+        (self.tolerance_px, self.visited, self.culled) = (f64::INFINITY, 0, 0);
     }
 }
 
-/// The next to give way is the one with the largest error; of equals, the one found first.
-#[derive(Clone, Copy, Debug)]
-struct Candidate {
-    pixels: f64,
-    place: usize,
-}
-
+/// The next is the one with the largest error; of equals, the one found first.
 impl Ord for Candidate {
     fn cmp(&self, other: &Self) -> Ordering {
-        self.pixels.total_cmp(&other.pixels).then(other.place.cmp(&self.place))
+        let pixels = self.pixels.total_cmp(&other.pixels);
+        pixels.then(self.step.cmp(&other.step)).then(other.place.cmp(&self.place))
     }
 }
 

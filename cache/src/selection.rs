@@ -1,5 +1,6 @@
 //! What a view gets: pages in memory, and how much is still to come.
 
+use std::ops::Index;
 use std::sync::Arc;
 
 use areoid_formats::address::PageAddress;
@@ -20,13 +21,84 @@ pub struct DatasetInfo {
     pub priority: i32,
 }
 
+/// Some of a cache's datasets, in the order of their numbers. A dataset has its number for as long
+/// as the cache lives, and no other ever has it.
+#[derive(Clone, Debug, Default)]
+pub struct Datasets {
+    listed: Arc<[(usize, Arc<DatasetInfo>)]>,
+}
+
+impl Datasets {
+    /// The dataset of a number, if it is among these.
+    #[must_use]
+    pub fn get(&self, number: usize) -> Option<&DatasetInfo> {
+        self.place(number).map(|place| self.listed[place].1.as_ref())
+    }
+
+    /// Where the dataset of a number stands among these.
+    #[must_use]
+    pub fn place(&self, number: usize) -> Option<usize> {
+        self.listed.binary_search_by_key(&number, |(number, _)| *number).ok()
+    }
+
+    /// How many there are.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.listed.len()
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.listed.is_empty()
+    }
+
+    /// All of them, with their numbers.
+    pub fn iter(&self) -> impl DoubleEndedIterator<Item = (usize, &DatasetInfo)> + Clone {
+        self.listed.iter().map(|(number, info)| (*number, info.as_ref()))
+    }
+
+    /// Whether both are the one list: a cheap test that nothing has changed.
+    #[must_use]
+    pub fn is(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.listed, &other.listed)
+    }
+}
+
+impl FromIterator<(usize, Arc<DatasetInfo>)> for Datasets {
+    fn from_iter<I: IntoIterator<Item = (usize, Arc<DatasetInfo>)>>(datasets: I) -> Self {
+        let mut listed: Vec<_> = datasets.into_iter().collect();
+        listed.sort_by_key(|(number, _)| *number);
+        listed.dedup_by_key(|(number, _)| *number);
+        Self { listed: listed.into() }
+    }
+}
+
+/// Numbered as they stand.
+impl From<Vec<DatasetInfo>> for Datasets {
+    fn from(infos: Vec<DatasetInfo>) -> Self {
+        infos.into_iter().map(Arc::new).enumerate().collect()
+    }
+}
+
+/// # Panics
+///
+/// If it is not among these.
+impl Index<usize> for Datasets {
+    type Output = DatasetInfo;
+
+    fn index(&self, number: usize) -> &DatasetInfo {
+        self.get(number).expect("a page's dataset stands beside it")
+    }
+}
+
 /// A decoded page in memory.
 ///
 /// While anybody but the cache holds its [`Arc`], the page is not evicted and counts against the
 /// budget: let go of selections that are no longer drawn.
 #[derive(Debug)]
 pub struct ResidentPage {
-    /// Which of [`Selection::datasets`].
+    /// The number of its dataset.
     pub dataset: usize,
     /// What the index says of it.
     pub entry: PageEntry,
@@ -34,10 +106,10 @@ pub struct ResidentPage {
     pub page: Page,
 }
 
-/// A page that the view wants and cannot have.
+/// A page that the view wants and cannot have for now: it is tried again, later and later.
 #[derive(Clone, Debug)]
 pub struct FailedPage {
-    /// Which of [`Selection::datasets`].
+    /// The number of its dataset.
     pub dataset: usize,
     /// Which page.
     pub page: PageAddress,
@@ -45,13 +117,15 @@ pub struct FailedPage {
     pub error: Arc<str>,
 }
 
-/// The answer to a view.
+/// The answer to a view, or to several at once.
 #[derive(Debug)]
 pub struct Selection {
     /// Changes whenever `pages` or `datasets` do, within a session.
     pub generation: u64,
-    /// The datasets of the catalog. A dataset keeps its place for as long as the cache lives.
-    pub datasets: Arc<[DatasetInfo]>,
+    /// How often the cache's datasets had changed: which of its states is drawn.
+    pub scene: u64,
+    /// The datasets that something below belongs to.
+    pub datasets: Datasets,
     /// Every page in memory that the view uses, coarse first: those it wants, and the ancestors
     /// that stand in for the missing ones.
     pub pages: Vec<Arc<ResidentPage>>,
@@ -60,9 +134,10 @@ pub struct Selection {
     /// Pages that the view wants and that cannot be read. Their ancestors stand in for them.
     pub failed: Vec<FailedPage>,
     /// The tolerance that `pages` will meet once none is missing: the view's, or more if the
-    /// budget forces it.
+    /// budget forces it. Of several views, the first one's; those of the others are by as much
+    /// coarser.
     pub tolerance_px: f64,
-    /// Pages that the search looked at.
+    /// Nodes of the tree over the datasets, and pages, that the search looked at.
     pub visited: usize,
     /// Pages that the search ended in: `pages` once none is missing.
     pub wanted: usize,

@@ -1,49 +1,71 @@
-//! One rendering context: a view goes in, the best pages in memory come out.
+//! One rendering context: views go in, the best pages in memory come out.
 
-use std::cmp::Ordering;
-use std::collections::HashSet;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
+use std::time::Duration;
 
-use areoid_formats::archive::Payload;
 use tokio::sync::watch;
+use tokio::time::Instant;
 
-use crate::engine::Engine;
+use crate::engine::{ADOPT_WITHIN, Engine};
+use crate::matching::{Match, Matcher};
+use crate::memo::Memo;
+use crate::motion::Motion;
 use crate::scene::Scene;
-use crate::search::{Found, Memo, Seen, search};
-use crate::selection::{FailedPage, ResidentPage, Selection};
-use crate::store::{PageName, Request, Store, Work};
+use crate::search::{Found, search};
+use crate::selection::{Datasets, Selection};
+use crate::store::{PageName, Store};
 use crate::view::View;
 
 /// A rendering context's way into the cache.
 ///
 /// # Threads
 ///
-/// A session belongs to one thread at a time. [`Self::update`] is for the thread that draws; the
-/// others wait. Dropping a session takes the store's lock for a moment.
+/// A session belongs to one thread at a time. [`Self::update`] and [`Self::update_all`] are for
+/// the thread that draws; the others wait. Dropping a session takes the store's lock for a moment.
+///
+/// # Changes
+///
+/// When datasets come, go or are replaced, a session goes on drawing those of before until all
+/// pages that the view needs of those of now are in memory, or [`Self::ADOPT_WITHIN`] has passed:
+/// nothing flashes up, and there is no hole. A selection is wholly of before or wholly of now.
 #[derive(Debug)]
 pub struct Session {
     engine: Arc<Engine>,
     number: u64,
-    scene: Arc<Scene>,
+    shown: Showing,
+    /// What is to be shown next, since it is known of.
+    next: Option<(Instant, Showing)>,
     memo: Memo,
+    matcher: Matcher,
+    views: Vec<View>,
+    motion: Motion,
+    /// When it was last looked ahead, and what was found.
+    ahead: (Option<Instant>, Found),
     last: Arc<Selection>,
+    /// What the last views wanted, sorted; and room for the next.
+    wanted: [Vec<PageName>; 2],
     news: watch::Receiver<u64>,
     budget_bytes: usize,
 }
 
-/// What a search found, against what is in memory.
-#[derive(Default)]
-struct Match {
-    pages: Vec<Arc<ResidentPage>>,
-    roots: Vec<Arc<ResidentPage>>,
-    /// Places in [`Found::seen`], and what to read there.
-    needs: Vec<(usize, Work)>,
-    missing: usize,
-    failed: Vec<FailedPage>,
+/// A state of the datasets, and what the views see of it.
+#[derive(Debug)]
+struct Showing {
+    scene: Arc<Scene>,
+    found: Found,
 }
 
 impl Session {
+    /// How long a session draws datasets that have been replaced or removed.
+    pub const ADOPT_WITHIN: Duration = ADOPT_WITHIN;
+
+    /// How far the view is expected to go on as it does.
+    const LOOK_AHEAD: Duration = Duration::from_millis(500);
+
+    /// How often it is looked ahead at most.
+    const LOOK_EVERY: Duration = Duration::from_millis(50);
+
     pub(crate) fn new(engine: Arc<Engine>, number: u64) -> Self {
         let shared = engine.shared();
         let (scene, news) = (shared.scene(), shared.subscribe());
@@ -55,7 +77,8 @@ impl Session {
         shared.sessions.fetch_add(1, Relaxed);
         let last = Arc::new(Selection {
             generation: 0,
-            datasets: Arc::clone(&scene.infos),
+            scene: scene.generation,
+            datasets: Datasets::default(),
             pages: Vec::new(),
             missing: 0,
             failed: Vec::new(),
@@ -64,22 +87,52 @@ impl Session {
             wanted: 0,
             culled: 0,
         });
-        Self { engine, number, scene, memo: Memo::default(), last, news, budget_bytes }
+        Self {
+            engine,
+            number,
+            shown: Showing { scene, found: Found::default() },
+            next: None,
+            memo: Memo::default(),
+            matcher: Matcher::default(),
+            views: Vec::new(),
+            motion: Motion::default(),
+            ahead: (None, Found::default()),
+            last,
+            wanted: [Vec::new(), Vec::new()],
+            news,
+            budget_bytes,
+        }
     }
 
-    /// The best pages in memory for `view`. What is missing is asked for, in order of need; what
-    /// the view before asked for and this one does not is no longer.
+    /// [`Self::update_all`] of one view.
+    pub fn update(&mut self, view: &View) -> Arc<Selection> {
+        self.update_all(std::slice::from_ref(view))
+    }
+
+    /// The best pages in memory for `views`, which one search serves: the eyes of a stereo pair, the
+    /// tiles of a wall. What is missing is asked for, in order of need; what the views before asked
+    /// for and these do not is no longer.
     ///
     /// It never waits: not for a disk, not for a decoder, not for a lock. In the rare moment in
-    /// which another thread works on the tables, the last selection is returned once more.
-    pub fn update(&mut self, view: &View) -> Arc<Selection> {
-        let found = self.search(view);
+    /// which another thread works on the tables, the last selection is returned once more. While
+    /// neither the views nor anything else changes it allocates nothing.
+    pub fn update_all(&mut self, views: &[View]) -> Arc<Selection> {
+        let now = Instant::now();
+        if let Some(view) = views.first() {
+            self.motion.observe(view, now);
+        }
+        if self.views == views && self.next.is_none() && !self.has_news() {
+            return Arc::clone(&self.last);
+        }
+        self.search(views, now);
         let engine = Arc::clone(&self.engine);
         if let Some(mut store) = engine.shared().try_store() {
-            self.select(&found, &mut store);
+            self.select(&mut store, now);
             drop(store);
             engine.shared().wake();
         } else {
+            // It is tried again even if the views stay.
+            self.views.clear();
             self.engine.repeated.fetch_add(1, Relaxed);
         }
         Arc::clone(&self.last)
@@ -103,17 +156,19 @@ impl Session {
         let engine = Arc::clone(&self.engine);
         let mut asked = false;
         loop {
-            let found = self.search(view);
+            let now = Instant::now();
+            self.search(std::slice::from_ref(view), now);
             let stalled = {
                 let mut store = engine.shared().store();
                 // It speaks of this view's requests from the second look on.
                 let stalled = store.stalled && asked;
-                self.select(&found, &mut store);
+                self.select(&mut store, now);
                 stalled
             };
             engine.shared().wake();
             asked = true;
-            if self.last.missing == 0 || stalled || self.news.changed().await.is_err() {
+            let is_met = self.last.missing == 0 && self.next.is_none();
+            if is_met || stalled || self.news.changed().await.is_err() {
                 return Arc::clone(&self.last);
             }
         }
@@ -129,36 +184,97 @@ impl Session {
         engine.handle().block_on(self.settled(view))
     }
 
-    fn search(&mut self, view: &View) -> Found {
+    fn search(&mut self, views: &[View], now: Instant) {
         self.news.mark_unchanged();
-        if let Some(scene) = self.engine.shared().try_scene()
-            && !Arc::ptr_eq(&scene, &self.scene)
-        {
-            self.scene = scene;
-            self.memo.clear();
+        self.views.clear();
+        self.views.extend_from_slice(views);
+        if let Some(scene) = self.engine.shared().try_scene() {
+            self.expect(scene, now);
         }
+        let allowance = self.allowance();
+        let mut visited = 0;
+        let next = self.next.as_mut().map(|(_, next)| next);
+        for Showing { scene, found } in next.into_iter().chain([&mut self.shown]) {
+            search(scene, &mut self.memo, views, allowance, found);
+            visited += found.visited;
+        }
+        self.engine.visited.fetch_add(visited as u64, Relaxed);
+    }
+
+    fn allowance(&self) -> usize {
         let sessions = self.engine.shared().sessions.load(Relaxed).max(1);
-        let found = search(&self.scene, &mut self.memo, view, self.budget_bytes / 2 / sessions);
-        self.engine.visited.fetch_add(found.visited as u64, Relaxed);
-        found
+        self.budget_bytes / 2 / sessions
+    }
+
+    /// Notes that `scene` is the one to be shown.
+    fn expect(&mut self, scene: Arc<Scene>, now: Instant) {
+        let known = self.next.as_ref().map_or(&self.shown, |(_, next)| next);
+        if Arc::ptr_eq(&scene, &known.scene) {
+            return;
+        }
+        // The clock runs from the first change that is not shown yet.
+        let (since, found) = match self.next.take() {
+            Some((since, next)) => (since, next.found),
+            None => (now, Found::default()),
+        };
+        self.next = Some((since, Showing { scene, found }));
     }
 
     /// Turns what was found into a selection and into requests.
-    fn select(&mut self, found: &Found, store: &mut Store) {
-        let Match { pages, roots, needs, missing, failed } = self.compare(found, store);
-        let requests = self.requests(found, needs);
-        store.stats.hits += (found.wanted.len() - missing.min(found.wanted.len())) as u64;
-        store.stats.misses += missing as u64;
-        store.pin_roots(self.number, roots);
-        store.replace_requests(self.number, requests);
+    fn select(&mut self, store: &mut Store, now: Instant) {
+        let mut needs = Vec::new();
+        if let Some((since, next)) = &self.next {
+            let Match { missing, .. } =
+                self.matcher.compare(&next.scene, &next.found, store, &mut needs);
+            let is_nothing_shown = self.last.pages.is_empty() && self.last.generation == 0;
+            if missing == 0 || is_nothing_shown || now >= *since + Self::ADOPT_WITHIN {
+                self.adopt();
+                needs.clear();
+            }
+        }
+        let Showing { scene, found } = &self.shown;
+        let mut shown = Vec::new();
+        let Match { pages, mut roots, missing, failed } =
+            self.matcher.compare(scene, found, store, &mut shown);
+        // What the picture lacks comes before what the next one will.
+        shown.append(&mut needs);
+        let stats = &mut store.stats;
+        stats.hits += (found.wanted.len() - missing.min(found.wanted.len())) as u64;
+        stats.misses += missing as u64;
+        store.pin_roots(self.number, &mut roots);
+        store.replace_requests(self.number, shown);
+        self.count_first(store);
+        if missing == 0 && self.next.is_none() {
+            self.look_ahead(store, now);
+        }
 
+        let Showing { scene, found } = &self.shown;
         let before = &self.last;
-        let same = Arc::ptr_eq(&before.datasets, &self.scene.infos)
-            && before.pages.len() == pages.len()
+        let same_pages = before.pages.len() == pages.len()
             && before.pages.iter().zip(&pages).all(|(one, other)| Arc::ptr_eq(one, other));
+        let numbers = || {
+            let pages = pages.iter().map(|page| page.dataset);
+            pages.chain(failed.iter().map(|failed| failed.dataset))
+        };
+        let same_datasets = same_pages
+            && before.scene == scene.generation
+            && before.failed.len() == failed.len()
+            && numbers().all(|number| before.datasets.place(number).is_some());
+        let datasets = if same_datasets {
+            before.datasets.clone()
+        } else {
+            let all = numbers().filter_map(|number| scene.place(number));
+            let listed: Datasets = all
+                .map(|place| &scene.datasets[place])
+                .map(|dataset| (dataset.number, Arc::clone(&dataset.info)))
+                .collect();
+            if before.datasets.iter().eq(listed.iter()) { before.datasets.clone() } else { listed }
+        };
+        let same = same_pages && before.datasets.is(&datasets);
         self.last = Arc::new(Selection {
             generation: before.generation + u64::from(!same),
-            datasets: Arc::clone(&self.scene.infos),
+            scene: scene.generation,
+            datasets,
             pages,
             missing,
             failed,
@@ -169,108 +285,42 @@ impl Session {
         });
     }
 
-    fn compare(&self, found: &Found, store: &mut Store) -> Match {
-        let mut result = Match::default();
-        let mut used = vec![false; found.seen.len()];
-        let mut asked = HashSet::new();
-        let name_of = |seen: &Seen| PageName { dataset: seen.dataset, page: seen.node.entry.page };
-        let failure = |name: PageName, error: &Arc<str>| FailedPage {
-            dataset: name.dataset,
-            page: name.page,
-            error: Arc::clone(error),
-        };
-
-        for (place, seen) in found.seen.iter().enumerate() {
-            if seen.parent.is_some() {
-                continue;
-            }
-            let name = name_of(seen);
-            match store.touch(name) {
-                Some(root) => result.roots.push(root),
-                None if store.error(Work::Texels(name)).is_none() => {
-                    asked.insert(place);
-                    result.needs.push((place, Work::Texels(name)));
-                }
-                None => {}
-            }
+    fn adopt(&mut self) {
+        if let Some((_, next)) = self.next.take() {
+            self.shown = next;
         }
-        for &wanted in &found.wanted {
-            // The page, or else the nearest ancestor that is there; what is not, is asked for.
-            let mut next = Some(wanted);
-            while let Some(place) = next {
-                let seen = &found.seen[place];
-                let name = name_of(seen);
-                if used[place] {
-                    break;
-                }
-                if let Some(page) = store.touch(name) {
-                    used[place] = true;
-                    result.pages.push(page);
-                    break;
-                }
-                let error = store.error(Work::Texels(name));
-                if place == wanted {
-                    match error {
-                        Some(error) => result.failed.push(failure(name, error)),
-                        None => result.missing += 1,
-                    }
-                }
-                if error.is_none() && asked.insert(place) {
-                    result.needs.push((place, Work::Texels(name)));
-                }
-                next = seen.parent;
-            }
-        }
-        for &place in &found.unindexed {
-            let name = name_of(&found.seen[place]);
-            match store.error(Work::Children(name)) {
-                Some(error) => result.failed.push(failure(name, error)),
-                None => {
-                    result.missing += 1;
-                    result.needs.push((place, Work::Children(name)));
-                }
-            }
-        }
-        result.pages.sort_unstable_by_key(|page| (page.entry.page, page.dataset));
-        result
     }
 
-    /// In order of need: coarse before fine, near before far, large error first.
-    fn requests(&self, found: &Found, mut needs: Vec<(usize, Work)>) -> Vec<Request> {
-        // Coarse is what has large texels, in steps of two: levels of two datasets do not compare.
-        let coarseness = |seen: &Seen| seen.node.texel_m.max(f64::MIN_POSITIVE).log2().round();
-        needs.sort_by(|&(one, one_work), &(other, other_work)| -> Ordering {
-            let (a, b) = (&found.seen[one], &found.seen[other]);
-            (a.parent.is_some().cmp(&b.parent.is_some()))
-                .then(coarseness(b).total_cmp(&coarseness(a)))
-                .then(a.distance.total_cmp(&b.distance))
-                .then(b.pixels.total_cmp(&a.pixels))
-                .then(one_work.cmp(&other_work))
-        });
-        needs
-            .into_iter()
-            .map(|(place, work)| {
-                let seen = &found.seen[place];
-                let entry = seen.node.entry;
-                let bytes = match (work, entry.payload) {
-                    (Work::Children(_), _) => 0,
-                    (Work::Texels(_), Payload::Constant(_)) => {
-                        load_bytes(&self.scene, seen.dataset, 0)
-                    }
-                    (Work::Texels(_), Payload::Record { length, .. }) => {
-                        load_bytes(&self.scene, seen.dataset, length as usize)
-                    }
-                };
-                Request { work, entry, bytes }
-            })
-            .collect()
+    /// Counts what is wanted now and was not before.
+    fn count_first(&mut self, store: &mut Store) {
+        let Showing { scene, found } = &self.shown;
+        let [before, now] = &mut self.wanted;
+        now.clear();
+        now.extend(found.wanted.iter().map(|&place| found.seen[place].name(scene)));
+        now.sort_unstable();
+        for name in now.iter().filter(|name| before.binary_search(name).is_err()) {
+            store.stats.first_wanted += 1;
+            store.stats.first_resident += u64::from(store.holds(*name));
+        }
+        self.wanted.swap(0, 1);
     }
-}
 
-/// The most that a load takes: the stored bytes, and texels with a coverage beside them.
-fn load_bytes(scene: &Scene, dataset: usize, stored: usize) -> usize {
-    let side = scene.infos[dataset].grid.pyramid().page_side() as usize;
-    side * side * (size_of::<f32>() + 1) + stored
+    /// Asks for what the views will need in a moment.
+    fn look_ahead(&mut self, store: &mut Store, now: Instant) {
+        let (last, found) = &mut self.ahead;
+        if last.is_some_and(|last| now < last + Self::LOOK_EVERY) {
+            return;
+        }
+        *last = Some(now);
+        let mut needs = Vec::new();
+        if let (Some(view), 1) = (self.motion.predict(Self::LOOK_AHEAD), self.views.len()) {
+            let sessions = self.engine.shared().sessions.load(Relaxed).max(1);
+            let allowance = self.budget_bytes / 2 / sessions;
+            search(&self.shown.scene, &mut self.memo, &[view], allowance, found);
+            self.matcher.expect(&self.shown.scene, found, store, &mut needs);
+        }
+        store.replace_ahead(self.number, needs);
+    }
 }
 
 impl Drop for Session {

@@ -8,14 +8,23 @@
 //! A page is pinned while anybody else holds it: the table's own [`Arc`] is then not the only one.
 //! Nobody can come to hold it but through the table, so that a count of one is final as long as the
 //! table is not asked.
+//!
+//! A session's requests are those of its last update: older ones lose. Where memory or loads are
+//! short, sessions take turns, and what is only expected to be needed waits for all of them.
 
-use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
+use std::collections::{BTreeMap, HashSet, VecDeque};
 use std::sync::Arc;
+use std::time::Duration;
 
 use areoid_formats::address::PageAddress;
 use areoid_formats::archive::PageEntry;
+use lru::LruCache;
+use rustc_hash::{FxBuildHasher, FxHashMap};
+use tokio::time::Instant;
 
+use crate::scene::Dataset;
 use crate::selection::ResidentPage;
+use crate::stats::Stats;
 
 /// Which page of which dataset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -42,9 +51,10 @@ impl Work {
 }
 
 /// A wish for a load.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Request {
     pub(crate) work: Work,
+    pub(crate) dataset: Arc<Dataset>,
     /// The entry of the page.
     pub(crate) entry: PageEntry,
     /// The most memory that the load can take, its result included.
@@ -61,52 +71,43 @@ pub(crate) enum Outcome {
     Cancelled,
 }
 
-/// Counts since the cache was opened.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Stats {
-    /// Pages read and decoded.
-    pub loads: u64,
-    /// Blocks of an index asked for.
-    pub index_loads: u64,
-    /// Wanted pages that were in memory, summed over updates.
-    pub hits: u64,
-    /// Wanted pages that were not, summed over updates.
-    pub misses: u64,
-    /// Pages dropped to make room.
-    pub evictions: u64,
-    /// Loads given up because no view wanted them any more.
-    pub cancelled: u64,
-    /// Loads that failed, each page once.
-    pub errors: u64,
-    /// Pages that searches looked at.
-    pub visited: u64,
-    /// Updates that found the store in use and repeated the last selection.
-    pub repeated: u64,
-    /// Pages in memory.
-    pub pages: usize,
-    /// Their bytes.
-    pub bytes: usize,
-    /// Bytes reserved for loads under way.
-    pub reserved_bytes: usize,
-    /// The most that both have been together.
-    pub peak_bytes: usize,
-    /// What they may be.
-    pub budget_bytes: usize,
+/// How much may be loaded at a time.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Limits {
+    pub(crate) loads: usize,
+    pub(crate) bytes: usize,
 }
 
 #[derive(Debug)]
 struct Slot {
     page: Arc<ResidentPage>,
-    used: u64,
+    /// Loaded ahead of any need, and not needed yet.
+    ahead: bool,
+}
+
+#[derive(Debug)]
+struct Loading {
+    bytes: usize,
+    ahead: bool,
+}
+
+/// Why there is no page, and when to try again.
+#[derive(Debug)]
+struct Failure {
+    error: Arc<str>,
+    times: u32,
+    again: Instant,
 }
 
 #[derive(Debug, Default)]
 struct Queue {
     /// Most urgent first.
     requests: VecDeque<Request>,
+    /// What will be needed if the view goes on as it does.
+    ahead: VecDeque<Request>,
     /// Of the last update, those that have been started included.
-    wanted: HashSet<Work>,
+    wanted: HashSet<Work, FxBuildHasher>,
+    wanted_ahead: HashSet<Work, FxBuildHasher>,
     /// Held so that they stay.
     roots: Vec<Arc<ResidentPage>>,
 }
@@ -114,30 +115,34 @@ struct Queue {
 /// See the module.
 #[derive(Debug)]
 pub(crate) struct Store {
-    slots: HashMap<PageName, Slot>,
-    /// By last use, oldest first.
-    order: BTreeMap<u64, PageName>,
-    clock: u64,
-    loading: HashMap<Work, usize>,
-    failed: HashMap<Work, Arc<str>>,
+    /// By last use.
+    slots: LruCache<PageName, Slot, FxBuildHasher>,
+    loading: FxHashMap<Work, Loading>,
+    failed: FxHashMap<Work, Failure>,
     /// By session.
     queues: BTreeMap<u64, Queue>,
     last_served: u64,
+    limits: Limits,
+    /// Bytes loaded or being loaded ahead of any need, and not needed yet.
+    ahead_bytes: usize,
     /// Whether the next load has to wait for memory that nothing under way will free.
     pub(crate) stalled: bool,
     pub(crate) stats: Stats,
 }
 
 impl Store {
-    pub(crate) fn new(budget_bytes: usize) -> Self {
+    /// The part of the budget that may hold what is not needed yet.
+    const AHEAD: usize = 4;
+
+    pub(crate) fn new(budget_bytes: usize, limits: Limits) -> Self {
         Self {
-            slots: HashMap::new(),
-            order: BTreeMap::new(),
-            clock: 0,
-            loading: HashMap::new(),
-            failed: HashMap::new(),
+            slots: LruCache::unbounded_with_hasher(FxBuildHasher),
+            loading: FxHashMap::default(),
+            failed: FxHashMap::default(),
             queues: BTreeMap::new(),
             last_served: 0,
+            limits,
+            ahead_bytes: 0,
             stalled: false,
             stats: Stats { budget_bytes, ..Stats::default() },
         }
@@ -154,15 +159,31 @@ impl Store {
     /// The page, if it is in memory; it becomes the most recently used.
     pub(crate) fn touch(&mut self, name: PageName) -> Option<Arc<ResidentPage>> {
         let slot = self.slots.get_mut(&name)?;
-        self.order.remove(&slot.used);
-        self.clock += 1;
-        slot.used = self.clock;
-        self.order.insert(self.clock, name);
+        if slot.ahead {
+            slot.ahead = false;
+            self.stats.ahead_used += 1;
+            self.ahead_bytes -= slot.page.page.bytes();
+        }
         Some(Arc::clone(&slot.page))
     }
 
+    /// Whether the page is in memory, which uses it in no way.
+    pub(crate) fn holds(&self, name: PageName) -> bool {
+        self.slots.contains(&name)
+    }
+
+    /// Why something cannot be had, unless it is time to try again.
     pub(crate) fn error(&self, work: Work) -> Option<&Arc<str>> {
-        self.failed.get(&work)
+        if self.failed.is_empty() {
+            return None;
+        }
+        let failure = self.failed.get(&work)?;
+        (Instant::now() < failure.again).then_some(&failure.error)
+    }
+
+    /// Whether something that failed may be tried again since a moment between two.
+    pub(crate) fn has_attempt(&self, after: Instant, until: Instant) -> bool {
+        self.failed.values().any(|failure| failure.again > after && failure.again <= until)
     }
 
     /// Replaces what a session asks for.
@@ -174,54 +195,73 @@ impl Store {
         self.stalled = false;
     }
 
+    /// Replaces what a session expects to ask for.
+    pub(crate) fn replace_ahead(&mut self, session: u64, requests: Vec<Request>) {
+        let queue = self.queues.entry(session).or_default();
+        queue.wanted_ahead.clear();
+        queue.wanted_ahead.extend(requests.iter().map(|request| request.work));
+        queue.ahead = requests.into();
+    }
+
     /// Holds on to roots, of all sessions a tenth of the budget at most.
-    pub(crate) fn pin_roots(&mut self, session: u64, roots: Vec<Arc<ResidentPage>>) {
+    pub(crate) fn pin_roots(&mut self, session: u64, roots: &mut Vec<Arc<ResidentPage>>) {
         let bytes = |roots: &[Arc<ResidentPage>]| -> usize {
             roots.iter().map(|root| root.page.bytes()).sum()
         };
         let others = self.queues.iter().filter(|(other, _)| **other != session);
         let mut total: usize = others.map(|(_, queue)| bytes(&queue.roots)).sum();
         let most = self.stats.budget_bytes / 10;
-        let fitting = roots.into_iter().filter(|root| {
+        roots.retain(|root| {
             let fits = total + root.page.bytes() <= most;
             total += if fits { root.page.bytes() } else { 0 };
             fits
         });
-        let fitting = fitting.collect();
-        self.queues.entry(session).or_default().roots = fitting;
+        std::mem::swap(&mut self.queues.entry(session).or_default().roots, roots);
     }
 
     /// The next load to start, its memory reserved: the most urgent one of each session in turn.
-    pub(crate) fn next(&mut self, most_loads: usize) -> Option<Request> {
-        if self.loading.len() >= most_loads {
+    pub(crate) fn next(&mut self) -> Option<Request> {
+        if self.loading.len() >= self.limits.loads {
             return None;
         }
+        let mut starved = false;
+        if let Some(request) = self.next_of(false, &mut starved) {
+            return Some(request);
+        }
+        self.stalled = starved && self.loading.is_empty();
+        // What may be needed later takes half of the loads, and nothing that is needed now.
+        let is_idle = !starved && self.loading.len() < self.limits.loads.div_ceil(2);
+        if is_idle { self.next_of(true, &mut false) } else { None }
+    }
+
+    fn next_of(&mut self, ahead: bool, starved: &mut bool) -> Option<Request> {
         let after = self.queues.range(self.last_served + 1..).map(|(session, _)| *session);
         let before = self.queues.range(..=self.last_served).map(|(session, _)| *session);
         let turn: Vec<u64> = after.chain(before).collect();
-        let mut starved = false;
         for session in turn {
-            while let Some(request) = self.front(session) {
-                if self.has(request.work) {
-                    self.pop(session);
-                } else if self.reserve(request.bytes) {
-                    self.pop(session);
-                    self.loading.insert(request.work, request.bytes);
+            while let Some(request) = self.front(session, ahead) {
+                let (work, bytes) = (request.work, request.bytes);
+                if self.has(work) {
+                    self.pop(session, ahead);
+                } else if self.may_start(bytes, ahead) && self.reserve(bytes) {
+                    self.loading.insert(work, Loading { bytes, ahead });
+                    self.ahead_bytes += if ahead { bytes } else { 0 };
                     self.last_served = session;
-                    return Some(request);
+                    return self.pop(session, ahead);
                 } else {
-                    starved = true;
+                    *starved = true;
                     break;
                 }
             }
         }
-        self.stalled = starved && self.loading.is_empty();
         None
     }
 
     /// Ends a load if nobody wants it any more; whether it did.
     pub(crate) fn cancel_if_unwanted(&mut self, work: Work) -> bool {
-        let wanted = self.queues.values().any(|queue| queue.wanted.contains(&work));
+        let mut queues = self.queues.values();
+        let wanted = queues
+            .any(|queue| queue.wanted.contains(&work) || queue.wanted_ahead.contains(&work));
         if !wanted {
             self.finish(work, Outcome::Cancelled);
         }
@@ -230,22 +270,28 @@ impl Store {
 
     /// Ends a load.
     pub(crate) fn finish(&mut self, work: Work, outcome: Outcome) {
-        let Some(reserved) = self.loading.remove(&work) else { return };
+        let Some(Loading { bytes: reserved, ahead }) = self.loading.remove(&work) else { return };
         self.stats.reserved_bytes -= reserved;
+        self.ahead_bytes -= if ahead { reserved } else { 0 };
+        if !matches!(outcome, Outcome::Cancelled | Outcome::Failed(_)) {
+            self.failed.remove(&work);
+        }
         match outcome {
             Outcome::Cancelled => self.stats.cancelled += 1,
-            Outcome::Failed(error) => {
-                self.stats.errors += 1;
-                self.failed.insert(work, error);
-            }
+            Outcome::Failed(error) => self.fail(work, error),
             Outcome::Loaded(None) => self.stats.index_loads += 1,
             Outcome::Loaded(Some(page)) => {
                 self.stats.loads += 1;
                 let bytes = page.page.bytes();
                 assert!(bytes <= reserved, "a page of {bytes} bytes was promised {reserved}");
-                self.clock += 1;
-                self.order.insert(self.clock, work.name());
-                self.slots.insert(work.name(), Slot { page, used: self.clock });
+                // Somebody may have come to need it meanwhile.
+                let needed = self.queues.values().any(|queue| queue.wanted.contains(&work));
+                let ahead = ahead && !needed;
+                if ahead {
+                    self.ahead_bytes += bytes;
+                    self.stats.ahead += 1;
+                }
+                self.slots.put(work.name(), Slot { page, ahead });
                 self.stats.pages += 1;
                 self.stats.bytes += bytes;
             }
@@ -253,17 +299,43 @@ impl Store {
         self.check();
     }
 
+    /// Drops the pages of datasets that are no more, unless they are in use.
+    pub(crate) fn forget(&mut self, is_gone: impl Fn(usize) -> bool) {
+        let unused = self.slots.iter().filter(|(_, slot)| Arc::strong_count(&slot.page) == 1);
+        let gone: Vec<PageName> =
+            unused.map(|(name, _)| *name).filter(|name| is_gone(name.dataset)).collect();
+        for name in gone {
+            self.evict(name);
+        }
+        self.failed.retain(|work, _| !is_gone(work.name().dataset));
+    }
+
+    fn fail(&mut self, work: Work, error: Arc<str>) {
+        const FIRST: Duration = Duration::from_secs(1);
+        const LAST: Duration = Duration::from_secs(60);
+        self.stats.errors += 1;
+        let times = self.failed.get(&work).map_or(0, |failure| failure.times);
+        let wait = FIRST.saturating_mul(1 << times.min(16)).min(LAST);
+        let failure = Failure { error, times: times + 1, again: Instant::now() + wait };
+        self.failed.insert(work, failure);
+    }
+
+    fn may_start(&self, bytes: usize, ahead: bool) -> bool {
+        let in_flight = self.stats.reserved_bytes;
+        let flies = in_flight == 0 || in_flight + bytes <= self.limits.bytes;
+        flies && (!ahead || self.ahead_bytes + bytes <= self.stats.budget_bytes / Self::AHEAD)
+    }
+
     /// Makes room for `bytes` and takes it; whether there was any.
     fn reserve(&mut self, bytes: usize) -> bool {
-        let room = |stats: &Stats| stats.budget_bytes - stats.bytes - stats.reserved_bytes;
-        if room(&self.stats) < bytes {
-            let mut room = room(&self.stats);
+        let Stats { budget_bytes, bytes: held, reserved_bytes, .. } = self.stats;
+        let mut room = budget_bytes - held - reserved_bytes;
+        if room < bytes {
             let mut victims = Vec::new();
-            for (&used, name) in &self.order {
-                let page = &self.slots[name].page;
-                if Arc::strong_count(page) == 1 {
-                    room += page.page.bytes();
-                    victims.push((used, *name));
+            for (name, slot) in self.slots.iter().rev() {
+                if Arc::strong_count(&slot.page) == 1 {
+                    room += slot.page.page.bytes();
+                    victims.push(*name);
                     if room >= bytes {
                         break;
                     }
@@ -273,11 +345,12 @@ impl Store {
             if room < bytes {
                 return false;
             }
-            for (used, name) in victims {
-                self.evict(used, name);
+            room = budget_bytes - held - reserved_bytes;
+            for name in victims {
+                room += self.evict(name);
             }
         }
-        if room(&self.stats) < bytes {
+        if room < bytes {
             return false;
         }
         self.stats.reserved_bytes += bytes;
@@ -285,18 +358,25 @@ impl Store {
         true
     }
 
-    fn evict(&mut self, used: u64, name: PageName) {
-        let Some(slot) = self.slots.remove(&name) else { return };
-        match Arc::try_unwrap(slot.page) {
+    /// Drops a page that nobody holds; the bytes that this frees.
+    fn evict(&mut self, name: PageName) -> usize {
+        let Some(Slot { page, ahead }) = self.slots.pop(&name) else { return 0 };
+        match Arc::try_unwrap(page) {
             Ok(page) => {
-                self.order.remove(&used);
+                let bytes = page.page.bytes();
+                if ahead {
+                    self.ahead_bytes -= bytes;
+                    self.stats.ahead_wasted += 1;
+                }
                 self.stats.evictions += 1;
                 self.stats.pages -= 1;
-                self.stats.bytes -= page.page.bytes();
+                self.stats.bytes -= bytes;
+                bytes
             }
-            // Somebody kept a weak reference and used it now.
+            // In use; or somebody kept a weak reference and used it now.
             Err(page) => {
-                self.slots.insert(name, Slot { page, used });
+                self.slots.put(name, Slot { page, ahead });
+                0
             }
         }
     }
@@ -309,22 +389,17 @@ impl Store {
     }
 
     fn has(&self, work: Work) -> bool {
-        let resident = matches!(work, Work::Texels(name) if self.slots.contains_key(&name));
-        resident || self.loading.contains_key(&work) || self.failed.contains_key(&work)
+        let resident = matches!(work, Work::Texels(name) if self.slots.contains(&name));
+        resident || self.loading.contains_key(&work) || self.error(work).is_some()
     }
 
-    fn front(&self, session: u64) -> Option<Request> {
-        self.queues.get(&session)?.requests.front().copied()
+    fn front(&self, session: u64, ahead: bool) -> Option<&Request> {
+        let queue = self.queues.get(&session)?;
+        if ahead { queue.ahead.front() } else { queue.requests.front() }
     }
 
-    fn pop(&mut self, session: u64) {
-        if let Some(queue) = self.queues.get_mut(&session) {
-            queue.requests.pop_front();
-        }
-    }
-
-    #[cfg(test)]
-    pub(crate) fn holds(&self, name: PageName) -> bool {
-        self.slots.contains_key(&name)
+    fn pop(&mut self, session: u64, ahead: bool) -> Option<Request> {
+        let queue = self.queues.get_mut(&session)?;
+        if ahead { queue.ahead.pop_front() } else { queue.requests.pop_front() }
     }
 }

@@ -225,7 +225,8 @@ impl Gated {
 
     fn cache(&self, budget_bytes: usize, concurrent_loads: usize) -> Cache {
         let archives = vec![(self.info.clone(), Arc::clone(&self.archive))];
-        let options = Options { budget_bytes, concurrent_loads };
+        let in_flight_bytes = budget_bytes;
+        let options = Options { budget_bytes, in_flight_bytes, concurrent_loads };
         Cache::with_archives(mars(), archives, options).unwrap()
     }
 

@@ -1,7 +1,8 @@
 //! Where a picture is taken from, and how sharp it has to be.
 
-use areoid_formats::bounds::HalfSpace;
-use areoid_formats::units::Radians;
+use areoid_formats::bounds::{Aabb, HalfSpace};
+use areoid_formats::units::{Meters, Radians};
+use areoid_formats::volume::{Horizon, Volume};
 use glam::{DMat3, DVec3};
 
 /// A pinhole camera in body-fixed space.
@@ -38,10 +39,15 @@ pub(crate) struct Lens {
     pixels_per_tangent: f64,
     /// Cosine of the angle between the axis and the picture's corners.
     pub(crate) corner_cosine: f64,
+    /// What a sphere below all terrain hides.
+    horizon: Option<Horizon>,
 }
 
 impl Lens {
-    pub(crate) fn new(view: &View) -> Self {
+    /// A dataset that is smaller on the screen is not drawn.
+    pub(crate) const SMALLEST_PX: f64 = 1.0;
+
+    pub(crate) fn new(view: &View, inscribed_radius: Meters) -> Self {
         let [width, height] = view.viewport.map(|pixels| f64::from(pixels.max(1)));
         let up_tangent = (view.vertical_fov.0 / 2.0).tan();
         let right_tangent = up_tangent * width / height;
@@ -59,7 +65,23 @@ impl Lens {
             ],
             pixels_per_tangent: height / (2.0 * up_tangent),
             corner_cosine: (1.0 + up_tangent.powi(2) + right_tangent.powi(2)).sqrt().recip(),
+            horizon: Horizon::new(view.eye, inscribed_radius),
         }
+    }
+
+    /// Whether all of a page is out of sight.
+    pub(crate) fn misses(&self, volume: &Volume) -> bool {
+        self.horizon.is_some_and(|horizon| volume.hidden_by(&horizon))
+            || volume.outside(&self.frustum)
+    }
+
+    /// Whether a box, of which nothing is farther than `greatest_radius` from the body's center, is
+    /// out of sight, or too small to be seen.
+    pub(crate) fn misses_box(&self, bounds: &Aabb, greatest_radius: Meters) -> bool {
+        self.horizon.is_some_and(|horizon| horizon.hides_box(bounds, greatest_radius))
+            || bounds.outside(&self.frustum)
+            || self.pixels(bounds.diagonal(), bounds.distance_from(self.eye), self.corner_cosine)
+                < Self::SMALLEST_PX
     }
 
     /// How large a length can be on the screen, `distance` or more away and at an angle from the
@@ -90,7 +112,7 @@ mod tests {
             viewport: [1600, 900],
             tolerance_px: 1.0,
         };
-        let lens = Lens::new(&view);
+        let lens = Lens::new(&view, Meters(1.0));
         let screen = |point: DVec3| {
             let seen = view.orientation.transpose() * (point - view.eye);
             glam::DVec2::new(seen.x, seen.y) / -seen.z * lens.pixels_per_tangent

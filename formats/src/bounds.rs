@@ -64,6 +64,12 @@ impl Aabb {
         size.x * size.y + size.y * size.z + size.z * size.x
     }
 
+    /// How far two opposite corners are apart; 0 if the box is empty.
+    #[must_use]
+    pub fn diagonal(&self) -> f64 {
+        (self.greatest() - self.least()).max(DVec3::ZERO).length()
+    }
+
     /// The middle of the box.
     #[must_use]
     pub fn center(&self) -> DVec3 {

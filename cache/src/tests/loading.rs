@@ -165,7 +165,11 @@ fn only_what_the_view_needs_is_read() {
     globe.gate.allow(None);
     let settled = session.settle(&near);
     let read: HashSet<_> = globe.page_reads().into_keys().collect();
-    assert_eq!(read, with_ancestors(&settled));
+    let wanted: HashSet<_> = addresses(&settled).into_iter().collect();
+    let all = with_ancestors(&settled);
+    assert!(wanted.is_subset(&read) && read.is_subset(&all), "{read:?} of {all:?}");
+    // Of the ancestors, every other one.
+    assert!(read.len() < all.len(), "{} of {}", read.len(), all.len());
 }
 
 #[test]
@@ -307,7 +311,7 @@ fn a_dataset_appears_in_one_step() {
     let mut session = cache.session();
     let pole = view(0.0, 88.0, 3e5, 0.0);
     let before = session.settle(&pole);
-    cache.insert(cap.info.clone(), Arc::clone(&cap.archive)).unwrap();
+    cache.insert(cap.info.clone(), Arc::clone(&cap.archive) as _).unwrap();
     assert!(session.has_news());
     let after = session.settle(&pole);
     assert_eq!((before.datasets.len(), after.datasets.len()), (1, 2));

@@ -7,7 +7,8 @@ use areoid_formats::catalog::{Build, Existing, NewDataset, RealDisk, publish_bui
 use super::*;
 use crate::CacheError;
 
-const OPTIONS: Options = Options { budget_bytes: 16 << 20, concurrent_loads: 2 };
+const OPTIONS: Options =
+    Options { budget_bytes: 16 << 20, in_flight_bytes: 4 << 20, concurrent_loads: 2 };
 
 #[test]
 fn a_folder_without_a_catalog_is_an_error() {
@@ -40,7 +41,7 @@ fn a_catalog_opens_with_what_can_be_read() {
     let opening = Cache::open(folder.path(), OPTIONS);
     assert!(opening.progress().opened <= 2);
     let cache = opening.wait().unwrap();
-    let names: Vec<_> = cache.datasets().iter().map(|info| info.name.clone()).collect();
+    let names: Vec<_> = cache.datasets().iter().map(|(_, info)| info.name.clone()).collect();
     assert_eq!((names, cache.problems().len()), (vec!["cap".to_owned(), "globe".to_owned()], 0));
     let settled = cache.session().settle(&view(0.0, 88.0, 4e5, 0.0));
     assert!(settled.missing == 0 && settled.pages.iter().any(|page| page.dataset == 0));

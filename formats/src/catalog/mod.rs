@@ -53,6 +53,16 @@ impl Catalog {
         Ok(Self { folder: folder.to_owned(), manifest })
     }
 
+    /// The newest generation in `folder`, without reading its manifest; `None` if there is none, or
+    /// just now none to be seen.
+    ///
+    /// # Errors
+    ///
+    /// [`CatalogError::Io`] if the folder cannot be listed.
+    pub fn newest_generation(folder: &Path) -> Result<Option<u64>, CatalogError> {
+        Ok(manifest::generations(folder)?.into_iter().max())
+    }
+
     /// Opens the newest generation together with all of its archives.
     ///
     /// # Errors

@@ -1,0 +1,179 @@
+//! What a search found, against what is in memory: pages to draw, and what to ask for.
+
+use std::sync::Arc;
+
+use areoid_formats::archive::Payload;
+
+use crate::scene::Scene;
+use crate::search::{Found, Seen};
+use crate::selection::{FailedPage, ResidentPage};
+use crate::store::{PageName, Request, Store, Work};
+
+/// What is there for a view.
+#[derive(Default)]
+pub(crate) struct Match {
+    pub(crate) pages: Vec<Arc<ResidentPage>>,
+    pub(crate) roots: Vec<Arc<ResidentPage>>,
+    pub(crate) missing: usize,
+    pub(crate) failed: Vec<FailedPage>,
+}
+
+/// Room for comparing, kept from one to the next.
+#[derive(Debug, Default)]
+pub(crate) struct Matcher {
+    /// By place in [`Found::seen`].
+    marks: Vec<Mark>,
+    needs: Vec<(usize, Work)>,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Mark {
+    used: bool,
+    asked: bool,
+}
+
+impl Seen {
+    pub(crate) fn name(&self, scene: &Scene) -> PageName {
+        PageName { dataset: scene.datasets[self.dataset].number, page: self.node.entry.page }
+    }
+}
+
+impl Matcher {
+    /// The pages to draw; what to ask for is added to `requests`, in order of need.
+    ///
+    /// Of a wanted page that is not there, the nearest ancestor that is stands in. So that one soon
+    /// is, every other one in between is asked for, and the root: halving twice at a time costs a
+    /// fifteenth more pages, and each step a third.
+    pub(crate) fn compare(
+        &mut self,
+        scene: &Scene,
+        found: &Found,
+        store: &mut Store,
+        requests: &mut Vec<Request>,
+    ) -> Match {
+        self.begin(found);
+        let mut result = Match::default();
+        let failure = |name: PageName, error: &Arc<str>| FailedPage {
+            dataset: name.dataset,
+            page: name.page,
+            error: Arc::clone(error),
+        };
+        for (place, seen) in found.seen.iter().enumerate() {
+            if seen.parent.is_some() {
+                continue;
+            }
+            let name = seen.name(scene);
+            match store.touch(name) {
+                Some(root) => result.roots.push(root),
+                None if store.error(Work::Texels(name)).is_none() => self.ask(place, name),
+                None => {}
+            }
+        }
+        for &wanted in &found.wanted {
+            let (mut next, mut skipped) = (Some(wanted), 1);
+            // Until something can still be had, the one above would be the best there is.
+            let mut is_best = true;
+            while let Some(place) = next {
+                let seen = &found.seen[place];
+                if self.marks[place].used {
+                    break;
+                }
+                let name = seen.name(scene);
+                if let Some(page) = store.touch(name) {
+                    self.marks[place].used = true;
+                    result.pages.push(page);
+                    break;
+                }
+                match store.error(Work::Texels(name)) {
+                    Some(error) if place == wanted => result.failed.push(failure(name, error)),
+                    Some(_) => {}
+                    None => {
+                        result.missing += usize::from(is_best);
+                        is_best = false;
+                        if skipped == 1 {
+                            self.ask(place, name);
+                        }
+                        skipped = 1 - skipped;
+                    }
+                }
+                next = seen.parent;
+            }
+        }
+        for &place in &found.unindexed {
+            let name = found.seen[place].name(scene);
+            match store.error(Work::Children(name)) {
+                Some(error) => result.failed.push(failure(name, error)),
+                None => {
+                    result.missing += 1;
+                    self.needs.push((place, Work::Children(name)));
+                }
+            }
+        }
+        result.pages.sort_unstable_by_key(|page| (page.entry.page, page.dataset));
+        self.end(scene, found, requests);
+        result
+    }
+
+    /// What to ask for so that what was found will be there; nothing is used by it.
+    pub(crate) fn expect(
+        &mut self,
+        scene: &Scene,
+        found: &Found,
+        store: &Store,
+        requests: &mut Vec<Request>,
+    ) {
+        self.begin(found);
+        for &place in &found.wanted {
+            let name = found.seen[place].name(scene);
+            if !store.holds(name) && store.error(Work::Texels(name)).is_none() {
+                self.ask(place, name);
+            }
+        }
+        for &place in &found.unindexed {
+            self.needs.push((place, Work::Children(found.seen[place].name(scene))));
+        }
+        self.end(scene, found, requests);
+    }
+
+    fn begin(&mut self, found: &Found) {
+        self.needs.clear();
+        self.marks.clear();
+        self.marks.resize(found.seen.len(), Mark::default());
+    }
+
+    fn ask(&mut self, place: usize, name: PageName) {
+        if !self.marks[place].asked {
+            self.marks[place].asked = true;
+            self.needs.push((place, Work::Texels(name)));
+        }
+    }
+
+    /// In order of need: roots, then coarse before fine, near before far, large error first.
+    fn end(&mut self, scene: &Scene, found: &Found, requests: &mut Vec<Request>) {
+        // Coarse is what has large texels, in steps of two: levels of two datasets do not compare.
+        let coarseness = |seen: &Seen| seen.node.texel_m.max(f64::MIN_POSITIVE).log2().round();
+        self.needs.sort_by(|&(one, one_work), &(other, other_work)| {
+            let (a, b) = (&found.seen[one], &found.seen[other]);
+            (a.parent.is_some().cmp(&b.parent.is_some()))
+                .then(coarseness(b).total_cmp(&coarseness(a)))
+                .then(a.distance.total_cmp(&b.distance))
+                .then(b.pixels.total_cmp(&a.pixels))
+                .then(one_work.cmp(&other_work))
+        });
+        requests.extend(self.needs.drain(..).map(|(place, work)| {
+            let seen = &found.seen[place];
+            let dataset = &scene.datasets[seen.dataset];
+            let entry = seen.node.entry;
+            let stored = match entry.payload {
+                Payload::Constant(_) => 0,
+                Payload::Record { length, .. } => length as usize,
+            };
+            // The stored bytes, and texels with a coverage beside them.
+            let bytes = match work {
+                Work::Children(_) => 0,
+                Work::Texels(_) => dataset.texels() * (size_of::<f32>() + 1) + stored,
+            };
+            Request { work, dataset: Arc::clone(dataset), entry, bytes }
+        }));
+    }
+}

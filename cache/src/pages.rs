@@ -1,0 +1,60 @@
+//! Where the pages of a dataset come from.
+
+use std::fmt;
+
+use areoid_formats::address::PageAddress;
+use areoid_formats::archive::{Archive, ArchiveError, PageEntry};
+use areoid_formats::page::Page;
+
+/// The pages of one dataset: an archive, or whatever answers like one.
+///
+/// # Contract
+///
+/// * What is found of a page never changes. Entries nest: a page's range and bound contain those
+///   of its children.
+/// * [`Self::find_resident`] never waits. All others may, for a disk or a network, but not forever.
+/// * All methods may be called from any thread, in any number.
+pub trait PageSource: fmt::Debug + Send + Sync {
+    /// What is known of a page without waiting: `None` if [`Self::find`] has to be asked first, and
+    /// `Some(None)` if the page has no data or is not the grid's.
+    fn find_resident(&self, page: PageAddress) -> Option<Option<PageEntry>>;
+
+    /// What is known of a page; `None` if it has no data or is not the grid's.
+    ///
+    /// # Errors
+    ///
+    /// [`ArchiveError`] if the index cannot be read.
+    fn find(&self, page: PageAddress) -> Result<Option<PageEntry>, ArchiveError>;
+
+    /// The stored bytes of a page, proven; none for a constant one.
+    ///
+    /// # Errors
+    ///
+    /// [`ArchiveError`] if they cannot be read, or are not what was stored.
+    fn payload(&self, entry: &PageEntry) -> Result<Vec<u8>, ArchiveError>;
+
+    /// The texels of a page from its stored bytes.
+    ///
+    /// # Errors
+    ///
+    /// [`ArchiveError`] if they are no such page's.
+    fn decode(&self, entry: &PageEntry, payload: &[u8]) -> Result<Page, ArchiveError>;
+}
+
+impl PageSource for Archive {
+    fn find_resident(&self, page: PageAddress) -> Option<Option<PageEntry>> {
+        Self::find_resident(self, page)
+    }
+
+    fn find(&self, page: PageAddress) -> Result<Option<PageEntry>, ArchiveError> {
+        Self::find(self, page)
+    }
+
+    fn payload(&self, entry: &PageEntry) -> Result<Vec<u8>, ArchiveError> {
+        Self::payload(self, entry)
+    }
+
+    fn decode(&self, entry: &PageEntry, payload: &[u8]) -> Result<Page, ArchiveError> {
+        Self::decode(self, entry, payload)
+    }
+}
