@@ -94,10 +94,7 @@ const AMBIENT: f64 = 0.06;
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
         self.check()?;
-        let options = CacheOptions {
-            budget_bytes: self.memory_mib.saturating_mul(1 << 20),
-            concurrent_loads: 4,
-        };
+        let options = CacheOptions::with_budget(self.memory_mib.saturating_mul(1 << 20));
         let cache = Cache::open(&self.catalog, options).wait()?;
         for problem in cache.problems() {
             output::say(format_args!("warning: {problem}"));
@@ -143,7 +140,7 @@ impl Args {
                 selection.missing, selection.tolerance_px
             ));
         }
-        let bare = selection.pages.is_empty() && !selection.datasets.is_empty() && unmet;
+        let bare = selection.pages.is_empty() && !cache.datasets().is_empty() && unmet;
         let whole = selection.failed.is_empty()
             && cache.problems().is_empty()
             && selection.missing == 0

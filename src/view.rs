@@ -47,10 +47,7 @@ impl Args {
             return Err(Failure::Misused(reason.to_owned()));
         }
         let start = position(self.start).map_err(Failure::Misused)?;
-        let options = CacheOptions {
-            budget_bytes: self.memory_mib.saturating_mul(1 << 20),
-            concurrent_loads: 4,
-        };
+        let options = CacheOptions::with_budget(self.memory_mib.saturating_mul(1 << 20));
         let cache = Cache::open(&self.catalog, options).wait()?;
         for problem in cache.problems() {
             output::say(format_args!("warning: {problem}"));

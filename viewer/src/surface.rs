@@ -8,7 +8,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use areoid_cache::{DatasetInfo, ResidentPage, Selection};
+use areoid_cache::{Datasets, ResidentPage, Selection};
 use areoid_formats::address::{Level, PageAddress, PageKey};
 use areoid_formats::compose::{Layer, compose};
 use areoid_formats::geodesy::Geographic;
@@ -18,7 +18,7 @@ use areoid_formats::page::{Kind, Reconstruction};
 /// The pages of a selection, found by place.
 #[derive(Debug, Default)]
 pub struct Surface {
-    datasets: Arc<[DatasetInfo]>,
+    datasets: Datasets,
     pages: HashMap<(usize, PageKey), Arc<ResidentPage>>,
     /// Datasets of each kind that have a page at all.
     present: Vec<usize>,
@@ -47,7 +47,7 @@ impl Surface {
         let mut present: Vec<usize> = pages.keys().map(|&(dataset, _)| dataset).collect();
         present.sort_unstable();
         present.dedup();
-        Self { datasets: Arc::clone(&selection.datasets), pages, present }
+        Self { datasets: selection.datasets.clone(), pages, present }
     }
 
     /// The composition of all datasets of `kind`, seen at `footprint_m` ground meters to a sample:
@@ -164,7 +164,7 @@ impl Surface {
     }
 
     /// What the pages belong to.
-    pub(crate) fn datasets(&self) -> &Arc<[DatasetInfo]> {
+    pub(crate) fn datasets(&self) -> &Datasets {
         &self.datasets
     }
 

@@ -95,6 +95,7 @@ impl Planet {
         pages.sort_by_key(|page| (page.entry.page.level, page.dataset));
         Selection {
             generation: 1,
+            scene: 1,
             datasets: self.datasets.clone().into(),
             wanted: pages.len(),
             pages,

@@ -1,8 +1,6 @@
 //! The pages of a selection brought to the GPU, and the table that finds them.
 
-use std::sync::Arc;
-
-use areoid_cache::{DatasetInfo, ResidentPage, Selection};
+use areoid_cache::{Datasets, ResidentPage, Selection};
 use areoid_formats::address::PageKey;
 use areoid_formats::archive::Payload;
 use areoid_formats::page::Kind;
@@ -20,15 +18,15 @@ pub(crate) struct Resident {
     pub(crate) heights: Atlas,
     pub(crate) colors: Atlas,
     budget_bytes: u64,
-    datasets: Option<Arc<[DatasetInfo]>>,
-    /// Heights first, each kind from the highest priority down.
+    datasets: Option<Datasets>,
+    /// Places in `datasets`: heights first, each kind from the highest priority down.
     order: Vec<usize>,
     /// By place in `order`.
     pub(crate) maps: Vec<DatasetMap>,
     pub(crate) height_count: u32,
     pub(crate) mirrored: Vec<mirror::Dataset>,
     pub(crate) table: Vec<i32>,
-    /// By dataset.
+    /// By place in `datasets`.
     shown: Vec<Vec<Shown>>,
 }
 
@@ -100,7 +98,9 @@ impl Resident {
                 continue;
             };
             let whole = page.page.coverage().is_none();
-            self.shown[page.dataset].push(Shown { page: page.entry.page, slot, whole });
+            let place = selection.datasets.place(page.dataset);
+            let place = place.expect("a page's dataset stands beside it");
+            self.shown[place].push(Shown { page: page.entry.page, slot, whole });
         }
         self.write_table(selection);
         brought
@@ -108,10 +108,10 @@ impl Resident {
 
     /// Sorts the datasets and fits the atlases to their pages.
     fn follow_datasets(&mut self, gpu: &Gpu, selection: &Selection) {
-        if self.datasets.as_ref().is_some_and(|known| Arc::ptr_eq(known, &selection.datasets)) {
+        if self.datasets.as_ref().is_some_and(|known| known.is(&selection.datasets)) {
             return;
         }
-        let datasets = &selection.datasets;
+        let datasets: Vec<_> = selection.datasets.iter().map(|(_, info)| info).collect();
         let side_of = |kind| {
             let sides = datasets.iter().filter(|info| info.kind == kind);
             sides.map(|info| info.grid.pyramid().page_side()).max().unwrap_or(8)
@@ -125,18 +125,20 @@ impl Resident {
         self.order.sort_by_key(|&i| {
             (datasets[i].kind == Kind::Color, std::cmp::Reverse(datasets[i].priority))
         });
-        self.maps = self.order.iter().map(|&i| DatasetMap::new(&datasets[i])).collect();
+        self.maps = self.order.iter().map(|&i| DatasetMap::new(datasets[i])).collect();
         let heights = self.order.iter().filter(|&&i| datasets[i].kind == Kind::Height).count();
         self.height_count = u32::try_from(heights).expect("a catalog has fewer datasets than 2^32");
+        self.shown.clear();
         self.shown.resize_with(datasets.len(), Vec::new);
-        self.datasets = Some(Arc::clone(datasets));
+        self.datasets = Some(selection.datasets.clone());
     }
 
     fn write_table(&mut self, selection: &Selection) {
         self.table.clear();
         self.mirrored.clear();
+        let infos: Vec<_> = selection.datasets.iter().map(|(_, info)| info).collect();
         for (&dataset, map) in self.order.iter().zip(&self.maps) {
-            let info = &selection.datasets[dataset];
+            let info = infos[dataset];
             let first = table::append(&mut self.table, info.grid.pyramid(), &self.shown[dataset]);
             let first = i32::try_from(first).expect("a table is far smaller than 2^31");
             self.mirrored.push(map.mirrored(first, info.priority));
