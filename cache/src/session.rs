@@ -42,6 +42,8 @@ pub struct Session {
     motion: Motion,
     /// When it was last looked ahead, and what was found.
     ahead: (Option<Instant>, Found),
+    /// Whether pages are loaded that are only expected to be needed; so at first.
+    pub look_ahead: bool,
     last: Arc<Selection>,
     /// What the last views wanted, sorted; and room for the next.
     wanted: [Vec<PageName>; 2],
@@ -97,6 +99,7 @@ impl Session {
             views: Vec::new(),
             motion: Motion::default(),
             ahead: (None, Found::default()),
+            look_ahead: true,
             last,
             wanted: [Vec::new(), Vec::new()],
             news,
@@ -244,8 +247,8 @@ impl Session {
         store.pin_roots(self.number, &mut roots);
         store.replace_requests(self.number, shown);
         self.count_first(store);
-        if missing == 0 && self.next.is_none() {
-            self.look_ahead(store, now);
+        if missing == 0 && self.next.is_none() && self.look_ahead {
+            self.prefetch(store, now);
         }
 
         let Showing { scene, found } = &self.shown;
@@ -306,7 +309,8 @@ impl Session {
     }
 
     /// Asks for what the views will need in a moment.
-    fn look_ahead(&mut self, store: &mut Store, now: Instant) {
+    fn prefetch(&mut self, store: &mut Store, now: Instant) {
+        let allowance = self.allowance();
         let (last, found) = &mut self.ahead;
         if last.is_some_and(|last| now < last + Self::LOOK_EVERY) {
             return;
@@ -314,8 +318,6 @@ impl Session {
         *last = Some(now);
         let mut needs = Vec::new();
         if let (Some(view), 1) = (self.motion.predict(Self::LOOK_AHEAD), self.views.len()) {
-            let sessions = self.engine.shared().sessions.load(Relaxed).max(1);
-            let allowance = self.budget_bytes / 2 / sessions;
             search(&self.shown.scene, &mut self.memo, &[view], allowance, found);
             self.matcher.expect(&self.shown.scene, found, store, &mut needs);
         }

@@ -1,11 +1,14 @@
 //! A planet in memory, and the cache put to the test on it.
 
+mod changing;
 mod culling;
+mod frames;
 mod loading;
 mod opening;
 
 use std::collections::HashMap;
 use std::io;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Condvar, Mutex};
 
 use areoid_formats::address::{Level, PageAddress};
@@ -23,7 +26,7 @@ use areoid_formats::storage::ByteSource;
 use areoid_formats::units::{Degrees, Meters};
 use glam::{DMat3, DVec3};
 
-use crate::{Cache, DatasetInfo, Options, View};
+use crate::{Cache, DatasetInfo, Options, Selection, Session, View};
 
 fn mars() -> Body {
     Body::parse("mars").unwrap()
@@ -109,6 +112,18 @@ fn fill(grid: &Grid, page: PageAddress, entries: &mut HashMap<PageAddress, PageE
     }
 }
 
+/// A globe of 2,700 pages.
+fn fine_globe() -> Grid {
+    let outline = Outline {
+        origin: [-180.0, 90.0],
+        pixel_size: [360.0 / 4096.0; 2],
+        width: 4096,
+        height: 2048,
+    };
+    let crs = Crs::new(Projection::Geographic, mars().ellipsoid);
+    Grid::from_outline(crs, outline, 66).unwrap().grid
+}
+
 /// The bytes of an archive, and what is in it.
 fn planet(name: &str, grid: Grid, kind: Kind) -> (Description, Vec<u8>) {
     let description = Description {
@@ -156,6 +171,7 @@ struct Gate {
     /// Reads that may pass before the gate is shut; `None` for all.
     allowed: Mutex<Option<usize>>,
     opened: Condvar,
+    failing: AtomicBool,
     /// Offset and length of all reads that passed.
     reads: Mutex<Vec<(u64, usize)>>,
 }
@@ -166,7 +182,14 @@ impl Gate {
         self.opened.notify_all();
     }
 
-    fn pass(&self, offset: u64, len: usize) {
+    fn fail(&self, failing: bool) {
+        self.failing.store(failing, Relaxed);
+    }
+
+    fn pass(&self, offset: u64, len: usize) -> io::Result<()> {
+        if self.failing.load(Relaxed) {
+            return Err(io::Error::other("the medium is out of order"));
+        }
         let mut allowed = self.allowed.lock().unwrap();
         while *allowed == Some(0) {
             allowed = self.opened.wait(allowed).unwrap();
@@ -175,6 +198,7 @@ impl Gate {
             *allowed -= 1;
         }
         self.reads.lock().unwrap().push((offset, len));
+        Ok(())
     }
 }
 
@@ -190,7 +214,7 @@ impl ByteSource for GatedSource {
     }
 
     fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
-        self.gate.pass(offset, buffer.len());
+        self.gate.pass(offset, buffer.len())?;
         self.bytes.read_exact_at(buffer, offset)
     }
 }

@@ -250,16 +250,8 @@ fn what_is_remembered_changes_nothing() {
 #[test]
 #[expect(clippy::print_stdout, reason = "figures for whoever asks with --nocapture")]
 fn searches_want_little_more_than_is_seen() {
-    let outline = Outline {
-        origin: [-180.0, 90.0],
-        pixel_size: [360.0 / 4096.0; 2],
-        width: 4096,
-        height: 2048,
-    };
-    let crs = Crs::new(Projection::Geographic, mars().ellipsoid);
-    let fine = Grid::from_outline(crs, outline, 66).unwrap().grid;
     let (globe, cap) =
-        (Gated::new("globe", fine, Kind::Height), Gated::new("cap", cap(), Kind::Height));
+        (Gated::new("globe", fine_globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height));
     let (datasets, scene) = ([&globe, &cap], scene(&[&globe, &cap]));
     let (mut all, mut needed) = (0, 0);
     for (name, view) in [

@@ -4,7 +4,6 @@ use std::collections::HashSet;
 use std::sync::Barrier;
 
 use super::*;
-use crate::selection::Selection;
 use crate::store::PageName;
 
 const PLENTY: usize = 64 << 20;
@@ -321,4 +320,28 @@ fn a_dataset_appears_in_one_step() {
     for page in &before.pages {
         assert!(after.pages.iter().any(|now| Arc::ptr_eq(now, page)));
     }
+}
+
+/// A medium that fails for a while is tried again, and what it has is shown then.
+#[test]
+fn what_failed_is_tried_again() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let cache = globe.cache(PLENTY, 2);
+    let mut session = cache.session();
+    let near = view(10.0, 20.0, 3e5, 30.0);
+    globe.gate.fail(true);
+    let failing = session.settle(&near);
+    assert!(failing.pages.is_empty() && !failing.failed.is_empty());
+    assert!(failing.failed[0].error.contains("out of order"), "{}", failing.failed[0].error);
+    globe.gate.fail(false);
+    let healed = loop {
+        while !session.has_news() {
+            std::thread::yield_now();
+        }
+        let now = session.settle(&near);
+        if now.failed.is_empty() {
+            break now;
+        }
+    };
+    assert!(healed.missing == 0 && healed.pages.len() == healed.wanted);
 }

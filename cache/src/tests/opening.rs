@@ -1,8 +1,9 @@
 //! Catalogs on disk.
 
 use std::io::Write;
+use std::path::Path;
 
-use areoid_formats::catalog::{Build, Existing, NewDataset, RealDisk, publish_build};
+use areoid_formats::catalog::{Build, Existing, NewDataset, RealDisk, publish_build, remove_dataset};
 
 use super::*;
 use crate::CacheError;
@@ -17,26 +18,31 @@ fn a_folder_without_a_catalog_is_an_error() {
     assert!(matches!(error, CacheError::Catalog(_)), "{error}");
 }
 
+/// Makes a dataset of a catalog; `priority` is all that tells two of a name apart.
+fn publish(folder: &Path, name: &str, grid: Grid, priority: i32) {
+    let (description, bytes) = planet(name, grid, Kind::Height);
+    let mut build = Build::start(&RealDisk, folder, name).unwrap();
+    build.write_all(&bytes).unwrap();
+    let dataset = NewDataset {
+        name: name.to_owned(),
+        group: None,
+        kind: Kind::Height,
+        priority,
+        body: mars(),
+        bytes: bytes.len() as u64,
+        content: Archive::open(Box::new(bytes)).unwrap().content().unwrap(),
+        source: description.source,
+        existing: Existing::Replace,
+    };
+    publish_build(build, dataset).unwrap();
+}
+
 /// Two datasets, then the archive of one is damaged beyond reading: the other still opens.
 #[test]
 fn a_catalog_opens_with_what_can_be_read() {
     let folder = tempfile::tempdir().unwrap();
     for (name, grid) in [("globe", globe()), ("cap", cap())] {
-        let (description, bytes) = planet(name, grid, Kind::Height);
-        let mut build = Build::start(&RealDisk, folder.path(), name).unwrap();
-        build.write_all(&bytes).unwrap();
-        let dataset = NewDataset {
-            name: name.to_owned(),
-            group: None,
-            kind: Kind::Height,
-            priority: 3,
-            body: mars(),
-            bytes: bytes.len() as u64,
-            content: Archive::open(Box::new(bytes)).unwrap().content().unwrap(),
-            source: description.source,
-            existing: Existing::Replace,
-        };
-        publish_build(build, dataset).unwrap();
+        publish(folder.path(), name, grid, 3);
     }
     let opening = Cache::open(folder.path(), OPTIONS);
     assert!(opening.progress().opened <= 2);
@@ -81,4 +87,40 @@ fn an_archive_without_its_end_is_read_through() {
     assert!(cache.problems().is_empty());
     let settled = cache.session().settle(&view(0.0, 0.0, 1e6, 0.0));
     assert!(settled.missing == 0 && !settled.pages.is_empty());
+}
+
+/// Whoever changes the catalog's folder: open sessions see it, and what they had stays.
+#[test]
+fn a_cache_follows_its_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    publish(folder.path(), "globe", globe(), 0);
+    let cache = Cache::open(folder.path(), OPTIONS).wait().unwrap();
+    let mut session = cache.session();
+    let pole = view(0.0, 88.0, 4e5, 0.0);
+    let first = session.settle(&pole);
+    let names = |selection: &Selection| {
+        selection.datasets.iter().map(|(_, info)| info.name.clone()).collect::<Vec<_>>()
+    };
+    assert_eq!(names(&first), ["globe"]);
+    publish(folder.path(), "cap", cap(), 1);
+    let second = loop {
+        let now = session.update(&pole);
+        if now.scene != first.scene && now.missing == 0 {
+            break now;
+        }
+        std::thread::yield_now();
+    };
+    assert_eq!(names(&second), ["globe", "cap"]);
+    for page in &first.pages {
+        assert!(second.pages.iter().any(|now| Arc::ptr_eq(now, page)), "dropped for nothing");
+    }
+    remove_dataset(&RealDisk, folder.path(), "globe").unwrap();
+    let third = loop {
+        let now = session.update(&pole);
+        if now.scene != second.scene && now.missing == 0 {
+            break now;
+        }
+        std::thread::yield_now();
+    };
+    assert_eq!(names(&third), ["cap"]);
 }

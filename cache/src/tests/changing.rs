@@ -1,0 +1,187 @@
+//! Datasets that come, go and are replaced while sessions look at them.
+
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::time::{Duration, Instant};
+
+use super::*;
+use crate::open::newcomer;
+
+const PLENTY: usize = 64 << 20;
+
+fn numbers(selection: &Selection) -> BTreeSet<usize> {
+    selection.pages.iter().map(|page| page.dataset).collect()
+}
+
+/// The old pages stay on the screen, wherever the view moves to, until the new ones are there.
+#[test]
+fn a_replaced_dataset_is_drawn_until_the_new_one_is_there() {
+    let old = Gated::new("globe", globe(), Kind::Height);
+    let new = Gated::new("globe", globe(), Kind::Height);
+    let cache = old.cache(PLENTY, 2);
+    let mut session = cache.session();
+    let near = view(10.0, 20.0, 3e5, 30.0);
+    let before = session.settle(&near);
+    cache.insert(new.info.clone(), Arc::clone(&new.archive) as _).unwrap();
+    new.gate.allow(Some(0));
+    let start = Instant::now();
+    for step in 0..20 {
+        let aside = view(10.0 + 0.01 * f64::from(step), 20.0, 3e5, 30.0);
+        let now = session.update(&aside);
+        if start.elapsed() < Session::ADOPT_WITHIN {
+            assert_eq!((numbers(&now), now.scene), (BTreeSet::from([0]), before.scene));
+            assert!(!now.pages.is_empty());
+        }
+    }
+    new.gate.allow(None);
+    let after = loop {
+        let now = session.update(&near);
+        assert!(!now.pages.is_empty(), "a hole");
+        assert_eq!(numbers(&now).len(), 1, "a mixture");
+        if now.scene != before.scene {
+            break now;
+        }
+        std::thread::yield_now();
+    };
+    assert_eq!((numbers(&after), after.missing), (BTreeSet::from([1]), 0));
+    assert_eq!(after.pages.len(), before.pages.len());
+}
+
+/// What cannot be loaded in time is not waited for: the catalog of now is shown with what there is.
+#[test]
+fn a_change_is_shown_within_its_time() {
+    let (old, new) =
+        (Gated::new("globe", globe(), Kind::Height), Gated::new("globe", globe(), Kind::Height));
+    let cache = old.cache(PLENTY, 2);
+    let mut session = cache.session();
+    let near = view(10.0, 20.0, 3e5, 30.0);
+    let before = session.settle(&near);
+    cache.insert(new.info.clone(), Arc::clone(&new.archive) as _).unwrap();
+    new.gate.allow(Some(0));
+    let start = Instant::now();
+    while session.update(&near).scene == before.scene {
+        std::thread::yield_now();
+    }
+    assert!(start.elapsed() + Duration::from_millis(100) > Session::ADOPT_WITHIN);
+    assert!(session.update(&near).pages.is_empty());
+    new.gate.allow(None);
+    assert_eq!(session.settle(&near).pages.len(), before.pages.len());
+}
+
+#[test]
+fn a_removed_dataset_is_gone_and_its_memory_free() {
+    let (globe, cap) =
+        (Gated::new("globe", globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height));
+    let cache = globe.cache(PLENTY, 2);
+    cache.insert(cap.info.clone(), Arc::clone(&cap.archive) as _).unwrap();
+    let mut session = cache.session();
+    let pole = view(0.0, 88.0, 3e5, 0.0);
+    let both = session.settle(&pole);
+    assert_eq!(numbers(&both), BTreeSet::from([0, 1]));
+    let of_globe: Vec<_> = both.pages.iter().filter(|page| page.dataset == 0).cloned().collect();
+    drop(both);
+    assert!(cache.remove("cap") && !cache.remove("cap"));
+    let after = session.settle(&pole);
+    assert_eq!((numbers(&after), after.datasets.len()), (BTreeSet::from([0]), 1));
+    for page in &of_globe {
+        assert!(after.pages.iter().any(|now| Arc::ptr_eq(now, page)), "dropped for nothing");
+    }
+    // What was on the screen goes with the next change, or when there is need.
+    cache.remove("nothing");
+    assert!(cache.remove("globe"));
+    let none = session.settle(&pole);
+    assert!(none.pages.is_empty() && none.datasets.is_empty());
+    assert_eq!(none.wanted, 0);
+}
+
+/// Two datasets are replaced in one step, again and again: whoever looks sees both of before or both
+/// of after.
+#[test]
+fn nobody_sees_a_mixture() {
+    let rounds = if std::env::var_os("AREOID_SOAK").is_some() { 1000 } else { 60 };
+    let versions = [0, 1].map(|version| {
+        [("globe", globe()), ("cap", cap())].map(|(name, grid)| {
+            let mut made = Gated::new(name, grid, Kind::Height);
+            made.info.priority = version;
+            made
+        })
+    });
+    let cache = versions[0][0].cache(PLENTY, 2);
+    let one_step = |round: usize| {
+        let made = &versions[round % 2];
+        let newcomers = made.iter().map(|made| {
+            newcomer(made.info.clone(), Arc::clone(&made.archive) as _).unwrap()
+        });
+        cache.engine().change(|_| true, newcomers.collect());
+    };
+    one_step(0);
+    let done = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for number in 0..2 {
+            let (cache, done) = (&cache, &done);
+            scope.spawn(move || {
+                let mut session = cache.session();
+                let mut scenes = BTreeSet::new();
+                let mut last = 0;
+                while !done.load(Relaxed) {
+                    let place = 20.0 * f64::from(number);
+                    let now = session.update(&view(place, 80.0, 6e5, 10.0));
+                    let priorities: BTreeSet<_> =
+                        now.datasets.iter().map(|(_, info)| info.priority).collect();
+                    assert!(priorities.len() <= 1, "{priorities:?}");
+                    for page in &now.pages {
+                        assert!(now.datasets.get(page.dataset).is_some());
+                    }
+                    assert!(now.scene >= last, "back in time");
+                    last = now.scene;
+                    scenes.insert(now.scene);
+                    let all: BTreeSet<_> =
+                        cache.datasets().iter().map(|(_, info)| info.priority).collect();
+                    assert_eq!(all.len(), 1);
+                }
+                assert!(scenes.len() > 1, "{scenes:?}");
+            });
+        }
+        let start = Instant::now();
+        for round in 1..=rounds {
+            one_step(round);
+            // At times long enough for sessions to take it over.
+            while round % 10 == 0
+                && start.elapsed() < Duration::from_millis(10) * u32::try_from(round).unwrap()
+            {
+                std::thread::yield_now();
+            }
+        }
+        std::thread::sleep(Duration::ZERO);
+        let start = Instant::now();
+        while start.elapsed() < 2 * Session::ADOPT_WITHIN {
+            std::thread::yield_now();
+        }
+        done.store(true, Relaxed);
+    });
+    let mut session = cache.session();
+    let settled = session.settle(&view(0.0, 88.0, 3e5, 0.0));
+    assert_eq!((settled.missing, settled.datasets.len()), (0, 2));
+}
+
+/// The tree stays good, and finds what there is, through many changes.
+#[test]
+fn the_tree_over_datasets_follows_all_changes() {
+    let (globe, cap) =
+        (Gated::new("globe", globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height));
+    let mut scene = crate::scene::Scene::empty(mars());
+    for round in 0..300_usize {
+        let made = if round % 3 == 0 { &globe } else { &cap };
+        let mut info = made.info.clone();
+        info.name = format!("{}-{}", info.name, round % 7);
+        let newcomer = newcomer(info.clone(), Arc::clone(&made.archive) as _).unwrap();
+        scene = scene.changed(|other| other.name == info.name, [newcomer]);
+        assert_eq!(scene.tree.len(), scene.datasets.len());
+        assert!(scene.datasets.is_sorted_by_key(|dataset| dataset.number));
+        for (place, dataset) in scene.datasets.iter().enumerate() {
+            assert_eq!(scene.place(dataset.number), Some(place));
+        }
+    }
+    assert_eq!(scene.generation, 300);
+    assert!(scene.datasets.len() <= 14);
+}

@@ -1,0 +1,146 @@
+//! What a frame costs, and what is there before it is needed.
+
+use std::collections::HashSet;
+use std::f64::consts::TAU;
+use std::time::{Duration, Instant};
+
+use super::*;
+
+const PLENTY: usize = 64 << 20;
+
+#[test]
+fn an_unchanged_view_allocates_nothing() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let cache = globe.cache(PLENTY, 2);
+    let mut session = cache.session();
+    let near = view(10.0, 20.0, 3e5, 30.0);
+    session.settle(&near);
+    // The views of the settled frame are known; news of its last loads may still be on the way.
+    while session.has_news() {
+        session.update(&near);
+    }
+    let first = session.update(&near);
+    let counted = allocation_counter::measure(|| {
+        for _ in 0..100 {
+            assert!(Arc::ptr_eq(&session.update(&near), &first));
+        }
+    });
+    assert_eq!(counted.count_total, 0, "{counted:?}");
+}
+
+/// Both eyes get what each would alone, from one search that looks at shared pages once.
+#[test]
+fn several_views_are_one_search() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let views = [view(10.0, 20.0, 3e5, 30.0), view(10.4, 20.0, 3e5, 30.0)];
+    let alone: Vec<_> = views
+        .iter()
+        .map(|view| {
+            let settled = globe.cache(PLENTY, 2).session().settle(view);
+            let pages: HashSet<_> = settled.pages.iter().map(|page| page.entry.page).collect();
+            (pages, settled.visited)
+        })
+        .collect();
+
+    let again = Gated::new("globe", super::globe(), Kind::Height);
+    let cache = again.cache(PLENTY, 2);
+    let mut session = cache.session();
+    let both = loop {
+        let both = session.update_all(&views);
+        if both.missing == 0 && !both.pages.is_empty() {
+            break both;
+        }
+        std::thread::yield_now();
+    };
+    let pages: HashSet<_> = both.pages.iter().map(|page| page.entry.page).collect();
+    // Wherever one of them is refined, so is what the other shares of it.
+    let covered = |page: &PageAddress| {
+        let mut up = std::iter::successors(Some(*page), |page| page.parent());
+        up.any(|page| pages.contains(&page))
+            || pages.iter().any(|finer| {
+                std::iter::successors(Some(*finer), |page| page.parent()).any(|up| up == *page)
+            })
+    };
+    for (one, visited) in &alone {
+        assert!(one.iter().all(covered));
+        assert!(both.visited < alone[0].1 + alone[1].1 && both.visited >= *visited);
+    }
+    let union: HashSet<_> = alone.iter().flat_map(|(pages, _)| pages).collect();
+    assert!(pages.len() <= union.len() && !pages.is_empty());
+    assert!(again.page_reads().values().all(|&reads| reads == 1));
+}
+
+/// Of two views, each keeps its own tolerance.
+#[test]
+fn a_coarser_view_beside_a_finer_one_stays_coarse() {
+    let globe = Gated::new("globe", fine_globe(), Kind::Height);
+    // East and west.
+    let (here, there) = (view(40.0, 20.0, 3e5, 0.0), view(-120.0, -20.0, 3e5, 0.0));
+    let rough = View { tolerance_px: 50.0, ..there };
+    let cache = globe.cache(PLENTY, 2);
+    let mut session = cache.session();
+    let mut finest = |views: &[View]| loop {
+        let now = session.update_all(views);
+        if now.missing == 0 && !now.pages.is_empty() {
+            let pages = now.pages.iter().map(|page| page.entry.page);
+            let half = |page: PageAddress| {
+                let (_, cols) = globe.info.grid.pyramid().pages(page.level).unwrap();
+                usize::from(2 * page.col >= cols)
+            };
+            let mut levels = [Level(0); 2];
+            pages.for_each(|page| levels[half(page)] = levels[half(page)].max(page.level));
+            break levels;
+        }
+        std::thread::yield_now();
+    };
+    let [west, east] = finest(&[here, there]);
+    let [rough_west, still_east] = finest(&[here, rough]);
+    assert_eq!(east, still_east);
+    assert!(rough_west < west, "{rough_west:?} {west:?}");
+    assert_eq!(finest(&[rough, here]), [rough_west, east]);
+}
+
+/// A steady flight at sixty frames a second: most pages are there when they are first needed.
+#[test]
+fn a_steady_flight_is_looked_ahead_of() {
+    let residents = [false, true].map(|ahead| {
+        let globe = Gated::new("globe", fine_globe(), Kind::Height);
+        let cache = globe.cache(PLENTY, 2);
+        let mut session = cache.session();
+        session.look_ahead = ahead;
+        let at = |turn: f64| View { tolerance_px: 0.1, ..view(turn, 20.0, 2e5, 45.0) };
+        session.settle(&at(0.0));
+        let before = cache.stats();
+        let (start, frame) = (Instant::now(), Duration::from_micros(16_667));
+        for step in 0..120_u32 {
+            session.update(&at(0.2 * f64::from(step)));
+            // Loads have until the next frame, however slow the machine.
+            while start.elapsed() < frame * (step + 1) || cache.stats().reserved_bytes > 0 {
+                std::thread::yield_now();
+            }
+        }
+        let stats = cache.stats();
+        assert!(ahead == (stats.ahead > 0), "{stats:?}");
+        let first = stats.first_wanted - before.first_wanted;
+        assert!(first > 10, "{stats:?}");
+        (stats.first_resident - before.first_resident) as f64 / first as f64
+    });
+    assert!(residents[1] >= 0.8 && residents[0] < 0.5, "{residents:?}");
+}
+
+/// What was looked away from is still there.
+#[test]
+fn looking_back_reads_nothing() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let cache = globe.cache(PLENTY, 2);
+    let mut session = cache.session();
+    let turn = |step: i32| view(TAU.to_degrees() / 8.0 * f64::from(step), 10.0, 4e5, 20.0);
+    for step in 0..8 {
+        session.settle(&turn(step));
+    }
+    let loads = cache.stats().loads;
+    for step in (0..8).rev() {
+        assert_eq!(session.update(&turn(step)).missing, 0);
+    }
+    assert_eq!(cache.stats().loads, loads);
+}
