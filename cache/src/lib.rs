@@ -9,6 +9,10 @@
 
 pub mod view;
 
+pub mod camera;
+
+pub mod flight;
+
 pub mod selection;
 
 pub mod pages;

@@ -6,7 +6,7 @@
 //!
 //! Modules stand in the order of their dependencies: a file uses only files above it.
 
-pub mod camera;
+pub use areoid_cache::camera;
 
 pub mod orbit;
 

@@ -4,7 +4,7 @@
 //! clockwise from north, pitches up from the horizon: a pitch of -90° looks straight down, with
 //! the heading at the top of the picture.
 
-use areoid_cache::View;
+use crate::view::View;
 use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::Geographic;
 use areoid_formats::units::{Meters, Radians};
