@@ -4,19 +4,23 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed};
 
+use areoid_formats::address::PageAddress;
 use areoid_formats::archive::Archive;
 use areoid_formats::body::Body;
+use areoid_formats::geodesy::Geographic;
 use tokio::sync::oneshot;
 
 use crate::engine::Engine;
 use crate::follow::{self, Followed};
+use crate::height::{self, Height};
 use crate::open::{CacheError, Contents, newcomer, news};
 use crate::pages::PageSource;
 use crate::scene::{Newcomer, Scene};
-use crate::selection::{DatasetInfo, Datasets};
+use crate::selection::{DatasetInfo, Datasets, ResidentPage};
 use crate::session::Session;
+use crate::single::{self, PageError};
 use crate::stats::Stats;
-use crate::store::Limits;
+use crate::store::{Limits, PageName};
 
 /// How much a cache may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -132,7 +136,8 @@ impl Cache {
         options: Options,
     ) -> Result<Self, CacheError> {
         let scene = Scene::empty(body.clone()).changed(|_| false, newcomers);
-        let limits = Limits { loads: options.concurrent_loads.max(1), bytes: options.in_flight_bytes };
+        let limits =
+            Limits { loads: options.concurrent_loads.max(1), bytes: options.in_flight_bytes };
         let engine = Engine::new(scene, options.budget_bytes, limits);
         let engine = Arc::new(engine.map_err(CacheError::Threads)?);
         Ok(Self { engine, body, next_session: AtomicU64::new(1), problems })
@@ -184,6 +189,53 @@ impl Cache {
     #[must_use]
     pub fn session(&self) -> Session {
         Session::new(Arc::clone(&self.engine), self.next_session.fetch_add(1, Relaxed))
+    }
+
+    /// A page, if it is in memory. Waits for the store.
+    #[must_use]
+    pub fn resident(&self, dataset: usize, page: PageAddress) -> Option<Arc<ResidentPage>> {
+        self.engine.shared().store().touch(PageName { dataset, page })
+    }
+
+    /// A page, loaded if need be; `None` if it has no data, or is not the grid's.
+    ///
+    /// # Cancel safety
+    ///
+    /// Dropping the future withdraws the request.
+    ///
+    /// # Errors
+    ///
+    /// [`PageError`].
+    pub async fn page(
+        &self,
+        dataset: usize,
+        page: PageAddress,
+    ) -> Result<Option<Arc<ResidentPage>>, PageError> {
+        single::load(&self.engine, dataset, page).await
+    }
+
+    /// The height at a position by the finest data there is, loaded if need be, and by composition
+    /// where datasets overlap; `None` where no dataset has one. What is drawn at the moment says
+    /// [`Selection::height`](crate::Selection::height).
+    ///
+    /// # Cancel safety
+    ///
+    /// Dropping the future withdraws its requests.
+    ///
+    /// # Errors
+    ///
+    /// [`PageError`].
+    pub async fn exact_height(&self, position: Geographic) -> Result<Option<Height>, PageError> {
+        height::exact(&self.engine, position).await
+    }
+
+    /// Waits for a future of this cache on a thread without a runtime.
+    ///
+    /// # Panics
+    ///
+    /// If called from asynchronous code.
+    pub fn wait_for<T>(&self, future: impl Future<Output = T>) -> T {
+        self.engine.handle().block_on(future)
     }
 
     /// What happened so far. Waits for the store.

@@ -37,6 +37,10 @@ mod matching;
 
 mod session;
 
+mod single;
+
+mod height;
+
 mod open;
 
 mod follow;
@@ -44,10 +48,12 @@ mod follow;
 mod cache;
 
 pub use cache::{Cache, Opening, Options, Progress};
+pub use height::Height;
 pub use open::CacheError;
 pub use pages::PageSource;
 pub use selection::{DatasetInfo, Datasets, FailedPage, ResidentPage, Selection};
 pub use session::Session;
+pub use single::PageError;
 pub use stats::Stats;
 pub use view::View;
 

@@ -168,10 +168,9 @@ impl Matcher {
                 Payload::Constant(_) => 0,
                 Payload::Record { length, .. } => length as usize,
             };
-            // The stored bytes, and texels with a coverage beside them.
             let bytes = match work {
                 Work::Children(_) => 0,
-                Work::Texels(_) => dataset.texels() * (size_of::<f32>() + 1) + stored,
+                Work::Texels(_) => dataset.load_bytes(stored),
             };
             Request { work, dataset: Arc::clone(dataset), entry, bytes }
         }));

@@ -206,8 +206,14 @@ impl Dataset {
         self.texels() * (per_texel + usize::from(!entry.full))
     }
 
+    /// The most that loading a page takes of so many stored bytes: those, and texels with a coverage
+    /// beside them.
+    pub(crate) fn load_bytes(&self, stored: usize) -> usize {
+        self.texels() * (size_of::<f32>() + 1) + stored
+    }
+
     /// Texels of a page, its border included.
-    pub(crate) fn texels(&self) -> usize {
+    fn texels(&self) -> usize {
         let side = self.info.grid.pyramid().page_side() as usize;
         side * side
     }

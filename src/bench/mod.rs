@@ -12,6 +12,7 @@
 //! What is timed runs as a process of its own, this program included, so that all are measured in
 //! the same way.
 
+mod cache;
 mod decode;
 mod geotiff;
 mod ingest;
@@ -42,6 +43,7 @@ pub(crate) struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum Book {
     Ingest(ingest::Args),
+    Cache(cache::Args),
     #[command(hide = true)]
     Decode(decode::Args),
     #[command(hide = true)]
@@ -52,6 +54,7 @@ impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
         match self.book {
             Book::Ingest(args) => args.run(),
+            Book::Cache(args) => args.run(),
             Book::Decode(args) => args.run(),
             Book::Resample(args) => args.run(),
         }

@@ -31,6 +31,11 @@ const PROGRAMS: [(&str, &str); 4] = [
 const PYTHON: &str = "python osgeo";
 
 impl Peers {
+    /// Nobody to be compared with.
+    pub(super) fn none() -> Self {
+        Self { peers: Vec::new() }
+    }
+
     /// Looks for all of them on the `PATH`; `python` is one that has GDAL.
     pub(super) fn find(python: Option<&Path>) -> Self {
         let find = |&(name, version): &(&'static str, &str)| {

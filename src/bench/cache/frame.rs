@@ -1,0 +1,158 @@
+//! What an update costs the thread that draws, while all else goes on.
+
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use areoid_cache::{Cache, Options};
+use serde_json::json;
+
+use super::Setting;
+use super::flights::flights;
+use super::patches::{Patch, patch, patches};
+use super::planet::body;
+use super::replay::fly;
+use crate::bench::report::{Chapter, Relation, Table, Target, quantile};
+use crate::failure::Failure;
+
+const DATASETS: u32 = 10_000;
+
+/// Milliseconds of the thread, at the 99th percentile.
+const LIMIT_MS: f64 = 1.0;
+
+pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
+    let delay = Duration::from_millis(20);
+    let count = setting.count(DATASETS);
+    let all = patches(count, delay)?;
+    let pages: u64 = all.iter().map(|patch| patch.pages()).sum();
+    let sources = all.into_iter().map(|patch| (patch.info.clone(), patch as _));
+    let options = Options { concurrent_loads: 64, ..Options::with_budget(1 << 30) };
+    let cache = Cache::with_sources(body(), sources, options)
+        .map_err(|error| Failure::Failed(error.into()))?;
+
+    let (mut rows, mut data, mut worst) = (Vec::new(), Vec::new(), 0.0_f64);
+    for named in flights(setting.seconds)? {
+        let mut session = cache.session();
+        let (mut took_ms, mut visited, mut seen, mut wanted) = (Vec::new(), 0, 0, 0);
+        let before = cache.stats();
+        let changes = beside(&cache, count, delay, || {
+            fly(&named.flight, &mut session, |_, selection, took| {
+                took_ms.push(took.as_secs_f64() * 1e3);
+                visited += selection.visited;
+                seen += selection.wanted + selection.culled;
+                wanted += selection.wanted;
+            });
+        })?;
+        let stats = cache.stats();
+        let frames = took_ms.len();
+        took_ms.sort_by(f64::total_cmp);
+        let of = |share| quantile(&took_ms, share);
+        worst = worst.max(of(0.99));
+        rows.push(vec![
+            named.name.to_owned(),
+            frames.to_string(),
+            format!("{:.3}", of(0.5)),
+            format!("{:.3}", of(0.99)),
+            format!("{:.3}", of(1.0)),
+            format!("{:.0}", wanted as f64 / frames as f64),
+            format!("{:.0}", visited as f64 / frames as f64),
+            format!("{:.2}", visited as f64 / seen.max(1) as f64),
+            (stats.repeated - before.repeated).to_string(),
+            changes.to_string(),
+        ]);
+        data.push(json!({
+            "flight": named.name,
+            "frames": frames,
+            "update_ms": { "median": of(0.5), "p99": of(0.99), "max": of(1.0) },
+            "wanted": wanted as f64 / frames as f64,
+            "visited": visited as f64 / frames as f64,
+            "repeated": stats.repeated - before.repeated,
+            "changes": changes,
+        }));
+    }
+    let head = vec![
+        "flight",
+        "frames",
+        "median ms",
+        "p99 ms",
+        "max ms",
+        "wanted",
+        "visited",
+        "over least",
+        "repeated",
+        "changes",
+    ];
+    let title = format!(
+        "Updates of a view of {count} datasets and {:.1} million pages",
+        pages as f64 / 1e6
+    );
+    Ok(Chapter {
+        name: "frame",
+        title: "What a frame costs",
+        notes: vec![
+            "Sixty updates a second in real time, in milliseconds of the processor time of the thread \
+             that makes them, while up to 64 loads of 20 ms each are under way, datasets come and go \
+             ten times a second, and a process of the least priority keeps all processors busy. \
+             *Visited* are nodes of the tree over the datasets and pages; the least is the wanted \
+             pages and those that had to be looked at to be left out. *Repeated* updates found the \
+             tables in use and answered as the one before."
+                .to_owned(),
+        ],
+        tables: vec![Table { title, head, rows }],
+        targets: vec![Target::new(
+            "an update, p99 of all flights, ms of its thread",
+            Relation::AtMost,
+            LIMIT_MS,
+            Some(worst),
+        )],
+        data: json!({ "datasets": count, "pages": pages, "flights": data }),
+    })
+}
+
+/// Does something while datasets come and go and processors are busy; how many changes there were.
+fn beside(cache: &Cache, count: u32, delay: Duration, job: impl FnOnce()) -> Result<u64, Failure> {
+    let extra: Vec<Arc<Patch>> = (0..10)
+        .map(|number| patch(997 * number + 13, count + 7919, delay))
+        .collect::<Result<_, _>>()?;
+    let (done, changes) = (AtomicBool::new(false), AtomicU64::new(0));
+    // What an ingest is to the system: threads that never rest, of the least priority.
+    let mut busy = Vec::new();
+    for _ in 0..crate::bench::report::cores() {
+        let spin = Command::new("nice")
+            .args(["-n", "19", "sh", "-c", "while :; do :; done"])
+            .stdin(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn();
+        // Without `nice` it goes without.
+        busy.extend(spin.ok());
+    }
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            let (start, mut round) = (Instant::now(), 0_u32);
+            while !done.load(Relaxed) {
+                let patch = &extra[round as usize / 2 % extra.len()];
+                if round.is_multiple_of(2) {
+                    let mut info = patch.info.clone();
+                    info.name = format!("extra-{}", round / 2 % 10);
+                    // An index in memory is always read.
+                    let _inserted = cache.insert(info, Arc::clone(patch) as _);
+                } else {
+                    cache.remove(&format!("extra-{}", round / 2 % 10));
+                }
+                changes.fetch_add(1, Relaxed);
+                round += 1;
+                let next = Duration::from_millis(100) * round;
+                thread::sleep(next.saturating_sub(start.elapsed()));
+            }
+        });
+        job();
+        done.store(true, Relaxed);
+    });
+    for mut busy in busy {
+        busy.kill()?;
+        busy.wait()?;
+    }
+    Ok(changes.into_inner())
+}

@@ -1,0 +1,70 @@
+//! Flights flown through a session, frame by frame.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use areoid_cache::flight::Flight;
+use areoid_cache::{Selection, Session, View};
+use areoid_formats::units::Degrees;
+
+use super::planet::body;
+
+/// Frames a second.
+pub(super) const FRAMES: u32 = 60;
+
+/// The view of a flight after some seconds, on a screen of 1280 by 720 pixels.
+pub(super) fn view(flight: &Flight, seconds: f64) -> View {
+    let pose = flight.pose(&body().ellipsoid, seconds);
+    pose.view(Degrees(45.0).into(), [1280, 720], 1.0)
+}
+
+/// The views of all frames.
+pub(super) fn views(flight: &Flight) -> impl Iterator<Item = View> + '_ {
+    (0_u32..)
+        .map(|frame| f64::from(frame) / f64::from(FRAMES))
+        .take_while(|seconds| *seconds <= flight.seconds())
+        .map(|seconds| view(flight, seconds))
+}
+
+/// Flies in real time; `each` is told every frame's selection and what its update took.
+pub(super) fn fly(
+    flight: &Flight,
+    session: &mut Session,
+    mut each: impl FnMut(&View, &Arc<Selection>, Duration),
+) {
+    let start = Instant::now();
+    let mut frame = 0;
+    loop {
+        let now = start.elapsed().as_secs_f64();
+        if now > flight.seconds() {
+            break;
+        }
+        let view = view(flight, now);
+        let before = clock();
+        let selection = session.update(&view);
+        each(&view, &selection, clock().saturating_sub(before));
+        drop(selection);
+        frame += 1;
+        // A frame that comes too late is left out, as a screen would.
+        while start.elapsed() > Duration::from_secs(1) * frame / FRAMES {
+            frame += 1;
+        }
+        let next = Duration::from_secs(1) * frame / FRAMES;
+        std::thread::sleep(next.saturating_sub(start.elapsed()));
+    }
+}
+
+/// The time that this thread has run.
+pub(super) fn clock() -> Duration {
+    #[cfg(unix)]
+    {
+        use nix::time::{ClockId, clock_gettime};
+        clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).map_or(Duration::ZERO, Duration::from)
+    }
+    #[cfg(not(unix))]
+    {
+        use std::sync::OnceLock;
+        static START: OnceLock<Instant> = OnceLock::new();
+        START.get_or_init(Instant::now).elapsed()
+    }
+}
