@@ -9,8 +9,7 @@
 //! Several views, of two eyes or of a wall's tiles, make one search: a page is as bad as it is in
 //! the view that it is worst in.
 //!
-//! Bounds and volumes nest, boxes do not: distance and angle are kept at least as favorable as the
-//! parent's, so that errors fall from parent to child and the order above is one.
+//! Bounds and volumes nest, boxes do not: distances are kept at least as favorable as the parent's, so that errors fall from parent to child and the order above is one.
 //!
 //! # References
 //!
@@ -24,7 +23,7 @@ use areoid_formats::page::Kind;
 
 use crate::memo::Memo;
 use crate::scene::{Node, Scene};
-use crate::view::{Lens, View};
+use crate::view::{Lens, Sight, View};
 
 /// A page in sight.
 #[derive(Clone, Copy, Debug)]
@@ -38,14 +37,6 @@ pub(crate) struct Seen {
     pub(crate) distance: f64,
     /// Its error on the screen, in pixels of the first view.
     pub(crate) pixels: f64,
-}
-
-/// How one view sees a page.
-#[derive(Clone, Copy, Debug)]
-struct Sight {
-    /// Infinite if it does not.
-    distance: f64,
-    cosine: f64,
 }
 
 /// What a search found; kept for the next one, so that it need not be allocated again.
@@ -66,10 +57,10 @@ pub(crate) struct Found {
     root_sights: Vec<Sight>,
     heap: BinaryHeap<Candidate>,
     lenses: Vec<Lens>,
-    datasets: Vec<usize>,
 }
 
-/// What is next: a page to give way to its children, or a root to be drawn at all.
+/// What is next: a page to give way to its children, a root to be drawn at all, or a dataset whose
+/// roots are to be looked at.
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     pixels: f64,
@@ -83,6 +74,8 @@ enum Step {
     Refine,
     /// `place` is one in `roots`.
     Draw,
+    /// `place` is one in the scene's datasets.
+    Open,
 }
 
 /// The pages that `views` need, with their ancestors within `allowance` bytes. No view needs none.
@@ -104,26 +97,28 @@ pub(crate) fn search(
     let mut lenses = std::mem::take(&mut found.lenses);
     let search = Search { scene, views, lenses: &lenses };
 
-    search.find_roots(found);
-    let mut bytes = 0;
+    search.find_datasets(found);
+    let (mut bytes, mut is_full) = (0, false);
     while let Some(Candidate { pixels, place, step }) = found.heap.pop() {
-        if step == Step::Draw {
-            let root = found.roots[place];
-            let more = scene.datasets[root.dataset].page_bytes(&root.node.entry);
-            if bytes + more <= allowance {
-                bytes += more;
-                search.draw(place, found);
-            } else {
-                found.tolerance_px = found.tolerance_px.max(pixels);
+        match step {
+            // What comes after is smaller yet.
+            Step::Open | Step::Draw if is_full => {}
+            Step::Open => search.open(place, found),
+            Step::Draw => {
+                let root = &found.roots[place];
+                let more = scene.datasets[root.dataset].page_bytes(&root.node.entry);
+                if bytes + more <= allowance {
+                    bytes += more;
+                    search.draw(place, found);
+                } else {
+                    found.tolerance_px = found.tolerance_px.max(pixels);
+                    is_full = true;
+                }
             }
-            continue;
+            // So are all the others that are drawn.
+            Step::Refine if pixels <= found.tolerance_px => found.wanted.push(place),
+            Step::Refine => search.refine(place, (&mut bytes, allowance), memo, found),
         }
-        if pixels <= found.tolerance_px {
-            // So are all the others, but roots may be left that are larger than their errors.
-            found.wanted.push(place);
-            continue;
-        }
-        search.refine(place, (&mut bytes, allowance), memo, found);
     }
     search.drop_unseen(memo, found);
     memo.end();
@@ -138,42 +133,40 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Boxes are thick whose height is more than this part of their width.
-    const THICK: f64 = 12.0;
-
-    /// The roots in sight, through the tree over the datasets.
-    fn find_roots(&self, found: &mut Found) {
+    /// The datasets in sight, through the tree over them.
+    fn find_datasets(&self, found: &mut Found) {
         let greatest = self.scene.greatest_radius();
-        let mut datasets = std::mem::take(&mut found.datasets);
         let mut visited = 0;
+        let heap = &mut found.heap;
         self.scene.tree.visit(
             |bounds| {
                 visited += 1;
                 self.lenses.iter().any(|lens| !lens.misses_box(bounds, greatest))
             },
-            |number| datasets.extend(self.scene.place(number as usize)),
+            |number, bounds| {
+                let Some(place) = self.scene.place(number as usize) else { return };
+                let sights = self.lenses.iter().map(|lens| lens.sight_of_box(bounds));
+                let pixels = self.worst(bounds.diagonal(), sights);
+                heap.push(Candidate { pixels, place, step: Step::Open });
+            },
         );
         found.visited += visited;
-        datasets.sort_unstable();
-        for dataset in datasets.drain(..) {
-            for &node in &self.scene.datasets[dataset].roots {
-                let mark = found.root_sights.len();
-                let mut sights = std::mem::take(&mut found.root_sights);
-                if let Some(root) = self.look_at(dataset, node, None, &mut sights, found) {
-                    // Nearer than its own size, it is as large as can be.
-                    let extent = 2.0 * node.volume.bounds().radius();
-                    let size = self.worst(extent, &sights[mark..]);
-                    let pixels = size.max(root.pixels);
-                    let place = found.roots.len();
-                    found.heap.push(Candidate { pixels, place, step: Step::Draw });
-                    found.roots.push(root);
-                } else {
-                    sights.truncate(mark);
-                }
-                found.root_sights = sights;
-            }
+    }
+
+    /// Looks at the roots of a dataset.
+    fn open(&self, dataset: usize, found: &mut Found) {
+        let mut sights = std::mem::take(&mut found.root_sights);
+        for &node in &self.scene.datasets[dataset].roots {
+            let mark = sights.len();
+            let Some(root) = self.look_at(dataset, node, None, &mut sights, found) else { continue };
+            // Nearer than its own size, it is as large as can be.
+            let extent = 2.0 * node.volume.bounds().radius();
+            let size = self.worst(extent, sights[mark..].iter().copied());
+            let (pixels, place) = (size.max(root.pixels), found.roots.len());
+            found.heap.push(Candidate { pixels, place, step: Step::Draw });
+            found.roots.push(root);
         }
-        found.datasets = datasets;
+        found.root_sights = sights;
     }
 
     /// Takes a root in.
@@ -235,16 +228,18 @@ impl Search<'_> {
         }
     }
 
-    /// Drops wanted pages of which no child is in sight: a thick box reaches around corners that
-    /// its four parts do not. Children without data say nothing about what the page shows there.
+    /// Drops wanted pages of which no child is in sight: at the rim of the picture, a box reaches
+    /// around corners that its four parts do not. Children without data say nothing about what the
+    /// page shows there.
     fn drop_unseen(&self, memo: &mut Memo, found: &mut Found) {
         let Found { wanted, seen, visited, culled, .. } = found;
         wanted.retain(|&place| {
             let Seen { dataset, node, .. } = seen[place];
             let dataset = &self.scene.datasets[dataset];
-            let half = node.volume.bounds().half;
             let (page, pyramid) = (node.entry.page, dataset.info.grid.pyramid());
-            if page.level == pyramid.finest() || Self::THICK * half.z < half.x.min(half.y) {
+            if page.level == pyramid.finest()
+                || self.lenses.iter().any(|lens| lens.holds(&node.volume))
+            {
                 return true;
             }
             let Some(children) = memo.children(dataset, page) else { return true };
@@ -278,23 +273,15 @@ impl Search<'_> {
         }
         let mut nearest = f64::INFINITY;
         for (number, lens) in self.lenses.iter().enumerate() {
-            // Of a root, the caller has taken the sights of pages found before.
             let above = parent.map(|place| sights[place * views + number]);
-            let unseen = node.entry.valid_fraction <= 0.0
-                || above.is_some_and(|above| above.distance.is_infinite())
-                || lens.misses(&node.volume);
-            if unseen {
-                sights.push(Sight { distance: f64::INFINITY, cosine: 1.0 });
-                continue;
-            }
-            let mut distance = node.volume.distance_from(lens.eye).0;
-            let mut cosine = node.volume.least_cosine(lens.eye, lens.axis).max(lens.corner_cosine);
+            let is_hopeless = node.entry.valid_fraction <= 0.0
+                || above.as_ref().is_some_and(|above| !above.is_seen());
+            let mut sight = if is_hopeless { Sight::NONE } else { lens.sight(&node.volume) };
             if let Some(above) = above {
-                distance = distance.max(above.distance);
-                cosine = cosine.max(above.cosine);
+                sight = sight.within(&above);
             }
-            nearest = nearest.min(distance);
-            sights.push(Sight { distance, cosine });
+            nearest = nearest.min(sight.distance);
+            sights.push(sight);
         }
         if nearest.is_infinite() {
             sights.truncate(mark);
@@ -308,19 +295,19 @@ impl Search<'_> {
             Kind::Color | Kind::Normal if bound < 0.5 => 0.0,
             Kind::Color | Kind::Normal => texel_m,
         };
-        let pixels = self.worst(error_m, &sights[mark..]);
+        let pixels = self.worst(error_m, sights[mark..].iter().copied());
         let node = Node { texel_m, ..node };
         Some(Seen { dataset, node, parent, distance: nearest, pixels })
     }
 
     /// How large a length is in the view in which it is largest for its tolerance, in pixels of the
     /// first one.
-    fn worst(&self, length_m: f64, sights: &[Sight]) -> f64 {
+    fn worst(&self, length_m: f64, sights: impl Iterator<Item = Sight>) -> f64 {
         let first = self.views[0].tolerance_px;
         let all = self.lenses.iter().zip(self.views).zip(sights);
-        let seen = all.filter(|(_, sight)| sight.distance.is_finite());
+        let seen = all.filter(|(_, sight)| sight.is_seen());
         let pixels = seen.map(|((lens, view), sight)| {
-            lens.pixels(length_m, sight.distance, sight.cosine) * (first / view.tolerance_px)
+            lens.pixels(length_m, sight.reach) * (first / view.tolerance_px)
         });
         pixels.fold(0.0, f64::max)
     }

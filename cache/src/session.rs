@@ -47,6 +47,8 @@ pub struct Session {
     last: Arc<Selection>,
     /// What the last views wanted, sorted; and room for the next.
     wanted: [Vec<PageName>; 2],
+    /// Room for the numbers of datasets.
+    numbers: Vec<usize>,
     news: watch::Receiver<u64>,
     budget_bytes: usize,
 }
@@ -102,6 +104,7 @@ impl Session {
             look_ahead: true,
             last,
             wanted: [Vec::new(), Vec::new()],
+            numbers: Vec::new(),
             news,
             budget_bytes,
         }
@@ -255,23 +258,19 @@ impl Session {
         let before = &self.last;
         let same_pages = before.pages.len() == pages.len()
             && before.pages.iter().zip(&pages).all(|(one, other)| Arc::ptr_eq(one, other));
-        let numbers = || {
-            let pages = pages.iter().map(|page| page.dataset);
-            pages.chain(failed.iter().map(|failed| failed.dataset))
-        };
-        let same_datasets = same_pages
-            && before.scene == scene.generation
-            && before.failed.len() == failed.len()
-            && numbers().all(|number| before.datasets.place(number).is_some());
-        let datasets = if same_datasets {
+        self.numbers.clear();
+        self.numbers.extend(pages.iter().map(|page| page.dataset));
+        self.numbers.extend(failed.iter().map(|failed| failed.dataset));
+        self.numbers.sort_unstable();
+        self.numbers.dedup();
+        // A number stands for one dataset for good.
+        let numbers = self.numbers.iter().copied();
+        let datasets = if before.datasets.iter().map(|(number, _)| number).eq(numbers.clone()) {
             before.datasets.clone()
         } else {
-            let all = numbers().filter_map(|number| scene.place(number));
-            let listed: Datasets = all
-                .map(|place| &scene.datasets[place])
-                .map(|dataset| (dataset.number, Arc::clone(&dataset.info)))
-                .collect();
-            if before.datasets.iter().eq(listed.iter()) { before.datasets.clone() } else { listed }
+            let places = numbers.filter_map(|number| scene.place(number));
+            let datasets = places.map(|place| &scene.datasets[place]);
+            datasets.map(|dataset| (dataset.number, Arc::clone(&dataset.info))).collect()
         };
         let same = same_pages && before.datasets.is(&datasets);
         self.last = Arc::new(Selection {

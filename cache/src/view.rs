@@ -35,12 +35,40 @@ pub(crate) struct Lens {
     pub(crate) axis: DVec3,
     /// The four sides, and the plane through the eye that the camera looks away from.
     pub(crate) frustum: [HalfSpace; 5],
+    /// Toward the picture's corners.
+    corners: [DVec3; 4],
     /// Pixels to a tangent of 1 from the view axis: S / (2 tan(θ/2)).
     pixels_per_tangent: f64,
     /// Cosine of the angle between the axis and the picture's corners.
     pub(crate) corner_cosine: f64,
+    /// Cosine of the least angle between the picture and straight down.
+    down_cosine: f64,
     /// What a sphere below all terrain hides.
     horizon: Option<Horizon>,
+}
+
+/// How near a page, or some other thing, is to a view.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sight {
+    /// From the eye, in meters; infinite if it is out of sight.
+    pub(crate) distance: f64,
+    /// At most d cos² α of any of its visible points, at the distance d and the angle α from the
+    /// axis: what lengths are divided by on their way to the screen.
+    pub(crate) reach: f64,
+}
+
+impl Sight {
+    pub(crate) const NONE: Self = Self { distance: f64::INFINITY, reach: f64::INFINITY };
+
+    pub(crate) fn is_seen(&self) -> bool {
+        self.distance.is_finite()
+    }
+
+    /// The stricter of both answers.
+    pub(crate) fn within(&self, above: &Self) -> Self {
+        let Self { distance, reach } = *self;
+        Self { distance: distance.max(above.distance), reach: reach.max(above.reach) }
+    }
 }
 
 impl Lens {
@@ -52,27 +80,95 @@ impl Lens {
         let up_tangent = (view.vertical_fov.0 / 2.0).tan();
         let right_tangent = up_tangent * width / height;
         let DMat3 { x_axis: right, y_axis: up, z_axis: backward } = view.orientation;
-        let side = |normal| HalfSpace::through(view.eye, normal);
+        let normals = [
+            right - right_tangent * backward,
+            -right - right_tangent * backward,
+            up - up_tangent * backward,
+            -up - up_tangent * backward,
+            -backward,
+        ];
+        let corners = [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)].map(|(x, y)| {
+            (x * right_tangent * right + y * up_tangent * up - backward).normalize()
+        });
         Self {
             eye: view.eye,
             axis: view.axis(),
-            frustum: [
-                side(right - right_tangent * backward),
-                side(-right - right_tangent * backward),
-                side(up - up_tangent * backward),
-                side(-up - up_tangent * backward),
-                side(-backward),
-            ],
+            frustum: normals.map(|normal| HalfSpace::through(view.eye, normal)),
+            corners,
             pixels_per_tangent: height / (2.0 * up_tangent),
             corner_cosine: (1.0 + up_tangent.powi(2) + right_tangent.powi(2)).sqrt().recip(),
+            down_cosine: greatest_cosine(&normals, &corners, -view.eye.normalize_or_zero()),
             horizon: Horizon::new(view.eye, inscribed_radius),
         }
+    }
+
+    /// How near a page is to the view.
+    ///
+    /// d cos² α is a cos α, with a the length along the axis: of both, the larger lower bound counts.
+    pub(crate) fn sight(&self, volume: &Volume) -> Sight {
+        if self.misses(volume) {
+            return Sight::NONE;
+        }
+        let bounds = volume.bounds();
+        let distance = volume.distance_from(self.eye).0;
+        let distance = distance.max(self.nearest_within(volume.greatest_radius().0));
+        let cosine = volume.least_cosine(self.eye, self.axis).max(self.corner_cosine);
+        let along = bounds.nearest_along(self.axis) - self.axis.dot(self.eye);
+        let reach = (distance * cosine * cosine).max(along * cosine);
+        Sight { distance, reach }
+    }
+
+    /// How near a box is to the view, and with it what lies in it.
+    pub(crate) fn sight_of_box(&self, bounds: &Aabb) -> Sight {
+        let distance = bounds.distance_from(self.eye);
+        Sight { distance, reach: distance * self.corner_cosine * self.corner_cosine }
+    }
+
+    /// At most the distance of a visible point that is no farther than `radius` from the body's
+    /// center; infinite if there can be none.
+    ///
+    /// The nearest point of that sphere along a ray is the farther the more the ray leans away from
+    /// straight down, and rays in the picture lean by [`Self::down_cosine`] or more.
+    fn nearest_within(&self, radius: f64) -> f64 {
+        /// Against rounding, relative to the eye's distance from the center.
+        const SLACK: f64 = 1e-12;
+        let height2 = self.eye.length_squared();
+        if height2 <= radius * radius {
+            return 0.0;
+        }
+        let along = self.eye.length() * self.down_cosine;
+        let under_root = radius * radius - (height2 - along * along);
+        if along <= 0.0 || under_root < -1e-6 * height2 {
+            return f64::INFINITY;
+        }
+        (along - under_root.max(0.0).sqrt() - SLACK * height2.sqrt()).max(0.0)
+    }
+
+    /// Whether all of a page is in the picture, or behind the body.
+    pub(crate) fn holds(&self, volume: &Volume) -> bool {
+        let bounds = volume.bounds();
+        self.frustum.iter().all(|side| bounds.nearest_along(side.normal) >= side.offset)
     }
 
     /// Whether all of a page is out of sight.
     pub(crate) fn misses(&self, volume: &Volume) -> bool {
         self.horizon.is_some_and(|horizon| volume.hidden_by(&horizon))
             || volume.outside(&self.frustum)
+            || self.is_beyond_a_face(volume)
+    }
+
+    /// Whether the whole picture lies beyond one of the faces of a page's box: where a box is larger
+    /// than the picture, it can miss it without lying outside any of the picture's sides.
+    fn is_beyond_a_face(&self, volume: &Volume) -> bool {
+        let bounds = volume.bounds();
+        let eye = bounds.axes.transpose() * (self.eye - bounds.center);
+        let corners = self.corners.map(|corner| bounds.axes.transpose() * corner);
+        (0..3).any(|axis| {
+            let above = eye[axis] > bounds.half[axis];
+            let below = eye[axis] < -bounds.half[axis];
+            above && corners.iter().all(|corner| corner[axis] >= 0.0)
+                || below && corners.iter().all(|corner| corner[axis] <= 0.0)
+        })
     }
 
     /// Whether a box, of which nothing is farther than `greatest_radius` from the body's center, is
@@ -80,20 +176,34 @@ impl Lens {
     pub(crate) fn misses_box(&self, bounds: &Aabb, greatest_radius: Meters) -> bool {
         self.horizon.is_some_and(|horizon| horizon.hides_box(bounds, greatest_radius))
             || bounds.outside(&self.frustum)
-            || self.pixels(bounds.diagonal(), bounds.distance_from(self.eye), self.corner_cosine)
-                < Self::SMALLEST_PX
+            || self.pixels(bounds.diagonal(), self.sight_of_box(bounds).reach) < Self::SMALLEST_PX
     }
 
-    /// How large a length can be on the screen, `distance` or more away and at an angle from the
-    /// axis of this cosine or more: `ARCHITECTURE.md`, the error on the screen.
-    pub(crate) fn pixels(&self, length_m: f64, distance_m: f64, cosine: f64) -> f64 {
+    /// How large a length can be on the screen, at a reach: `ARCHITECTURE.md`, the error on the
+    /// screen.
+    pub(crate) fn pixels(&self, length_m: f64, reach_m: f64) -> f64 {
         if length_m > 0.0 {
-            length_m * self.pixels_per_tangent / (distance_m * cosine * cosine)
+            length_m * self.pixels_per_tangent / reach_m
         } else {
             // Nothing is not visible, however near.
             0.0
         }
     }
+}
+
+/// The greatest cosine between `toward` and a ray within four planes through the eye that face inward:
+/// toward itself, or toward the nearest of the planes' faces and edges.
+fn greatest_cosine(normals: &[DVec3; 5], corners: &[DVec3; 4], toward: DVec3) -> f64 {
+    let inside = |ray: DVec3| normals.iter().all(|normal| normal.dot(ray) >= -1e-12);
+    if inside(toward) {
+        return 1.0;
+    }
+    let onto = |normal: &DVec3| {
+        let ray = toward - normal.dot(toward) / normal.length_squared() * *normal;
+        ray.try_normalize().filter(|ray| inside(*ray))
+    };
+    let rays = normals[..4].iter().filter_map(onto).chain(corners.iter().copied());
+    rays.map(|ray| ray.dot(toward)).fold(-1.0, f64::max)
 }
 
 #[cfg(test)]
@@ -125,7 +235,7 @@ mod tests {
             let point = view.eye + view.orientation * (100.0 * sight);
             assert!(lens.frustum.iter().all(|side| side.normal.dot(point) >= side.offset - 1e-9));
             let cosine = (point - view.eye).normalize().dot(lens.axis);
-            let promised = lens.pixels(stick, 100.0, cosine);
+            let promised = lens.pixels(stick, 100.0 * cosine * cosine);
             for turn in 0..36 {
                 let along = DVec3::new(sight.y, -sight.x, 0.0).normalize_or(DVec3::X);
                 let across = sight.cross(along);
@@ -137,5 +247,33 @@ mod tests {
             }
         }
         assert!(longest > 0.999, "{longest}");
+    }
+
+    /// The least angle to straight down, against a search over the picture.
+    #[test]
+    fn the_picture_is_as_far_from_straight_down_as_its_nearest_ray() {
+        for step in 0..200 {
+            let turn = f64::from(step);
+            let view = View {
+                eye: DVec3::new(3.0, 0.1 * turn.sin(), 0.2),
+                orientation: DMat3::from_rotation_z(0.7 * turn)
+                    * DMat3::from_rotation_x(0.031 * turn)
+                    * DMat3::from_rotation_y(1.3 * turn),
+                vertical_fov: Degrees(20.0 + 0.4 * turn).into(),
+                viewport: [1600, 900],
+                tolerance_px: 1.0,
+            };
+            let lens = Lens::new(&view, Meters(1.0));
+            let up = (view.vertical_fov.0 / 2.0).tan();
+            let right = up * 1600.0 / 900.0;
+            let grid = (0..=200).flat_map(|x| (0..=200).map(move |y| (x, y)));
+            let nearest = grid
+                .map(|(x, y)| [x, y].map(|step| f64::from(step) / 100.0 - 1.0))
+                .map(|[x, y]| view.orientation * DVec3::new(x * right, y * up, -1.0).normalize())
+                .map(|ray| ray.dot(-view.eye.normalize()))
+                .fold(-1.0, f64::max);
+            assert!(lens.down_cosine >= nearest - 1e-12, "{step}: {} {nearest}", lens.down_cosine);
+            assert!(lens.down_cosine <= nearest + 1e-3, "{step}: {} {nearest}", lens.down_cosine);
+        }
     }
 }

@@ -140,6 +140,12 @@ impl OrientedBox {
         self.half.length()
     }
 
+    /// The least `direction · p` over the points of the box.
+    #[must_use]
+    pub fn nearest_along(&self, direction: DVec3) -> f64 {
+        -self.farthest_along(-direction)
+    }
+
     /// How far away the nearest point of the box is.
     #[must_use]
     pub fn distance_from(&self, eye: DVec3) -> f64 {

@@ -110,12 +110,13 @@ impl Bvh {
         total / whole
     }
 
-    /// Calls `found` with every item whose box, and all boxes around it, `keep` returns true for.
-    pub fn visit(&self, mut keep: impl FnMut(&Aabb) -> bool, mut found: impl FnMut(u32)) {
+    /// Calls `found` with every item, and its box, whose box, and all boxes around it, `keep` returns
+    /// true for.
+    pub fn visit(&self, mut keep: impl FnMut(&Aabb) -> bool, mut found: impl FnMut(u32, &Aabb)) {
         self.walk(|node| {
             let kept = keep(&node.bounds);
             if let (true, Content::Leaf(item)) = (kept, node.content) {
-                found(item);
+                found(item, &node.bounds);
             }
             kept
         });
@@ -125,7 +126,7 @@ impl Bvh {
     #[must_use]
     pub fn meeting(&self, bounds: &Aabb) -> Vec<u32> {
         let mut items = Vec::new();
-        self.visit(|node| node.meets(bounds), |item| items.push(item));
+        self.visit(|node| node.meets(bounds), |item, _| items.push(item));
         items.sort_unstable();
         items
     }

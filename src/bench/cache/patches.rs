@@ -16,7 +16,7 @@ use super::planet::{body, chance, entry, narrow, texels};
 use crate::failure::Failure;
 
 /// Texels along the side of a page.
-const PAGE_SIDE: u32 = 66;
+const PAGE_SIDE: u32 = 512;
 
 /// Leaves along the side of a patch.
 const LEAVES: u32 = 100;
@@ -86,7 +86,7 @@ impl Patch {
             let halvings = f64::from(pyramid.halvings(page.level));
             let texel = self.info.grid.nominal_pixel().0 * halvings.exp2();
             // At least twice that of the children, whatever chance says.
-            entry.bound = narrow(0.02 * texel * (0.7 + 0.6 * chance(page)));
+            entry.bound = narrow(0.06 * texel * (0.7 + 0.6 * chance(page)));
         }
         Some(entry)
     }

@@ -79,7 +79,8 @@ impl Planet {
             let pyramid = self.info.grid.pyramid();
             let halvings = f64::from(pyramid.halvings(page.level));
             let texel = self.info.grid.nominal_pixel().0 * halvings.exp2();
-            entry.bound += narrow(0.02 * texel * (0.3 + chance(page)));
+            // Of MOLA's levels the largest bounds are 0.07 to 0.18 texels.
+            entry.bound += narrow(0.03 * texel * (0.3 + chance(page)));
         }
         (entry.min, entry.max) = (entry.lowest, entry.highest);
         self.entries.insert(page, entry);
