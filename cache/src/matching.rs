@@ -39,11 +39,14 @@ impl Seen {
 }
 
 impl Matcher {
+    /// So many pages are loaded in a frame or two.
+    const FEW: usize = 8;
+
     /// The pages to draw; what to ask for is added to `requests`, in order of need.
     ///
-    /// Of a wanted page that is not there, the nearest ancestor that is stands in. So that one soon
-    /// is, every other one in between is asked for, and the root: halving twice at a time costs a
-    /// fifteenth more pages, and each step a third.
+    /// Of a wanted page that is not there, the nearest ancestor that is stands in. Where many are
+    /// missing, every other ancestor in between is asked for, so that one soon is: halving twice at
+    /// a time costs a fifteenth more pages, and each step a third. A few come as soon without.
     pub(crate) fn compare(
         &mut self,
         scene: &Scene,
@@ -69,6 +72,8 @@ impl Matcher {
                 None => {}
             }
         }
+        let holds = |place: &&usize| store.holds(found.seen[**place].name(scene));
+        let is_leap = found.wanted.len() - found.wanted.iter().filter(holds).count() > Self::FEW;
         for &wanted in &found.wanted {
             let (mut next, mut skipped) = (Some(wanted), 1);
             // Until something can still be had, the one above would be the best there is.
@@ -89,10 +94,10 @@ impl Matcher {
                     Some(_) => {}
                     None => {
                         result.missing += usize::from(is_best);
-                        is_best = false;
-                        if skipped == 1 {
+                        if skipped == 1 && (is_leap || is_best) {
                             self.ask(place, name);
                         }
+                        is_best = false;
                         skipped = 1 - skipped;
                     }
                 }

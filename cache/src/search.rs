@@ -35,6 +35,8 @@ pub(crate) struct Seen {
     pub(crate) parent: Option<usize>,
     /// From the nearest eye that sees it.
     pub(crate) distance: f64,
+    /// At most what it is off by, in meters on the ground or in height.
+    error_m: f64,
     /// Its error on the screen, in pixels of the first view.
     pub(crate) pixels: f64,
 }
@@ -98,11 +100,9 @@ pub(crate) fn search(
     let search = Search { scene, views, lenses: &lenses };
 
     search.find_datasets(found);
-    let (mut bytes, mut is_full) = (0, false);
+    let mut bytes = 0;
     while let Some(Candidate { pixels, place, step }) = found.heap.pop() {
         match step {
-            // What comes after is smaller yet.
-            Step::Open | Step::Draw if is_full => {}
             Step::Open => search.open(place, found),
             Step::Draw => {
                 let root = &found.roots[place];
@@ -112,7 +112,8 @@ pub(crate) fn search(
                     search.draw(place, found);
                 } else {
                     found.tolerance_px = found.tolerance_px.max(pixels);
-                    is_full = true;
+                    // What would come after is smaller yet.
+                    found.heap.retain(|candidate| candidate.step == Step::Refine);
                 }
             }
             // So are all the others that are drawn.
@@ -205,19 +206,25 @@ impl Search<'_> {
         }
         let (first, first_sight) = (found.seen.len(), found.sights.len());
         let mut sights = std::mem::take(&mut found.sights);
-        let mut more = 0;
+        let (mut more, mut sharper) = (0, 0.0_f64);
         for &node in nodes {
+            let mark = sights.len();
             let child = self.look_at(parent.dataset, node, Some(place), &mut sights, found);
             if let Some(child) = child {
+                let here = sights[mark..].iter().copied();
+                sharper = sharper.max(self.worst(parent.error_m, here));
                 more += dataset.page_bytes(&child.node.entry);
                 found.seen.push(child);
             }
         }
         found.sights = sights;
-        if *bytes + more > allowance {
+        // What is seen of the page lies under the children that are seen, and their boxes are tighter.
+        let is_fine = sharper <= found.tolerance_px;
+        if is_fine || *bytes + more > allowance {
             found.seen.truncate(first);
             found.sights.truncate(first_sight);
-            found.tolerance_px = parent.pixels;
+            found.seen[place].pixels = sharper;
+            found.tolerance_px = found.tolerance_px.max(sharper);
             found.wanted.push(place);
             return;
         }
@@ -297,7 +304,7 @@ impl Search<'_> {
         };
         let pixels = self.worst(error_m, sights[mark..].iter().copied());
         let node = Node { texel_m, ..node };
-        Some(Seen { dataset, node, parent, distance: nearest, pixels })
+        Some(Seen { dataset, node, parent, distance: nearest, error_m, pixels })
     }
 
     /// How large a length is in the view in which it is largest for its tolerance, in pixels of the

@@ -266,7 +266,7 @@ fn pages_in_use_are_not_evicted() {
 #[test]
 fn the_root_stays() {
     let globe = Gated::new("globe", globe(), Kind::Height);
-    let cache = globe.cache(40 * PAGE, 2);
+    let cache = globe.cache(24 * PAGE, 2);
     let mut session = cache.session();
     for step in 0..20 {
         session.settle(&view(18.0 * f64::from(step), -40.0, 2e5, 30.0));
