@@ -37,7 +37,7 @@ impl Engine {
             .build()?;
         let shared = Arc::new(Shared::new(scene, budget_bytes, limits));
         runtime.spawn(Arc::clone(&shared).dispatch());
-        runtime.spawn(Arc::clone(&shared).try_again());
+        runtime.spawn(Arc::clone(&shared).tidy());
         let (visited, repeated) = (AtomicU64::new(0), AtomicU64::new(0));
         Ok(Self { shared, runtime: Some(runtime), visited, repeated })
     }

@@ -28,6 +28,8 @@ use crate::store::{Limits, Outcome, PageName, Request, Store, Work};
 pub(crate) struct Shared {
     store: Mutex<Store>,
     scene: Mutex<Arc<Scene>>,
+    /// Scenes of before: whoever draws must not be the last to let go of one.
+    retired: Mutex<Vec<Arc<Scene>>>,
     wake: Notify,
     /// Counts everything that may change a selection.
     news: watch::Sender<u64>,
@@ -39,6 +41,7 @@ impl Shared {
         Self {
             store: Mutex::new(Store::new(budget_bytes, limits)),
             scene: Mutex::new(Arc::new(scene)),
+            retired: Mutex::default(),
             wake: Notify::new(),
             news: watch::Sender::new(0),
             sessions: AtomicUsize::new(0),
@@ -75,7 +78,8 @@ impl Shared {
         let mut scene = self.scene.lock().unwrap_or_else(PoisonError::into_inner);
         let current = Arc::ptr_eq(&scene, before);
         if current {
-            *scene = Arc::new(after);
+            let before = std::mem::replace(&mut *scene, Arc::new(after));
+            self.retired.lock().unwrap_or_else(PoisonError::into_inner).push(before);
         }
         let after = Arc::clone(&scene);
         drop(scene);
@@ -131,15 +135,16 @@ impl Shared {
 }
 
 impl Shared {
-    /// How often it is looked whether something that failed may be tried again.
+    /// How often it is looked for what may be tried again or let go of.
     const LOOK_EVERY: Duration = Duration::from_millis(250);
 
-    /// Tells sessions when what failed may be tried again, for as long as the runtime lives.
+    /// Tells sessions when what failed may be tried again, and lets go of scenes that nobody draws
+    /// any more, for as long as the runtime lives.
     ///
     /// # Cancel safety
     ///
     /// It may be dropped at any time.
-    pub(crate) async fn try_again(self: Arc<Self>) {
+    pub(crate) async fn tidy(self: Arc<Self>) {
         let mut last = Instant::now();
         loop {
             sleep(Self::LOOK_EVERY).await;
@@ -149,6 +154,11 @@ impl Shared {
                 self.tell();
             }
             last = now;
+            let mut retired = self.retired.lock().unwrap_or_else(PoisonError::into_inner);
+            let unused = |scene: &mut Arc<Scene>| Arc::strong_count(scene) == 1;
+            let unused: Vec<_> = retired.extract_if(.., unused).collect();
+            drop(retired);
+            drop(unused);
         }
     }
 }

@@ -23,6 +23,8 @@ pub(crate) struct Scene {
     pub(crate) generation: u64,
     /// By number, ascending.
     pub(crate) datasets: Vec<Arc<Dataset>>,
+    /// Their numbers, side by side: a search looks thousands up.
+    numbers: Vec<usize>,
     /// Over the root volumes, by number.
     pub(crate) tree: Bvh,
     body: Body,
@@ -79,7 +81,8 @@ impl Scene {
     pub(crate) fn empty(body: Body) -> Self {
         let tree = Bvh::default();
         let (datasets, heights) = (Vec::new(), [0.0; 2]);
-        Self { generation: 0, datasets, tree, body, heights, next: 0, changes: 0 }
+        let numbers = Vec::new();
+        Self { generation: 0, datasets, numbers, tree, body, heights, next: 0, changes: 0 }
     }
 
     /// The scene without the datasets that `drop` is true for, and with others.
@@ -120,6 +123,8 @@ impl Scene {
             scene.changes += 1;
             scene.datasets.push(Arc::new(dataset));
         }
+        scene.numbers.clear();
+        scene.numbers.extend(scene.datasets.iter().map(|dataset| dataset.number));
         scene.keep_tree();
         scene
     }
@@ -139,7 +144,7 @@ impl Scene {
 
     /// Where the dataset of a number stands.
     pub(crate) fn place(&self, number: usize) -> Option<usize> {
-        self.datasets.binary_search_by_key(&number, |dataset| dataset.number).ok()
+        self.numbers.binary_search(&number).ok()
     }
 
     /// What there is to say of all datasets.

@@ -19,6 +19,7 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
+use areoid_formats::bvh::{Branch, Parts};
 use areoid_formats::page::Kind;
 
 use crate::memo::Memo;
@@ -61,8 +62,8 @@ pub(crate) struct Found {
     lenses: Vec<Lens>,
 }
 
-/// What is next: a page to give way to its children, a root to be drawn at all, or a dataset whose
-/// roots are to be looked at.
+/// What is next: a page to give way to its children, a root to be drawn at all, or datasets to be
+/// looked at.
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     pixels: f64,
@@ -76,8 +77,8 @@ enum Step {
     Refine,
     /// `place` is one in `roots`.
     Draw,
-    /// `place` is one in the scene's datasets.
-    Open,
+    /// `place` is a branch of the tree over the datasets.
+    Climb,
 }
 
 /// The pages that `views` need, with their ancestors within `allowance` bytes. No view needs none.
@@ -99,11 +100,13 @@ pub(crate) fn search(
     let mut lenses = std::mem::take(&mut found.lenses);
     let search = Search { scene, views, lenses: &lenses };
 
-    search.find_datasets(found);
+    if let Some(trunk) = scene.tree.trunk() {
+        search.climb(trunk, found);
+    }
     let mut bytes = 0;
     while let Some(Candidate { pixels, place, step }) = found.heap.pop() {
         match step {
-            Step::Open => search.open(place, found),
+            Step::Climb => search.take_apart(place, found),
             Step::Draw => {
                 let root = &found.roots[place];
                 let more = scene.datasets[root.dataset].page_bytes(&root.node.entry);
@@ -134,24 +137,39 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// The datasets in sight, through the tree over them.
-    fn find_datasets(&self, found: &mut Found) {
+    /// Puts a branch of the tree over the datasets among what is to come, by the largest that one of
+    /// its datasets can be on the screen.
+    fn climb(&self, branch: usize, found: &mut Found) {
+        found.visited += 1;
+        let Branch { bounds, largest_m, .. } = self.scene.tree.branch(branch);
         let greatest = self.scene.greatest_radius();
-        let mut visited = 0;
-        let heap = &mut found.heap;
-        self.scene.tree.visit(
-            |bounds| {
-                visited += 1;
-                self.lenses.iter().any(|lens| !lens.misses_box(bounds, greatest))
-            },
-            |number, bounds| {
-                let Some(place) = self.scene.place(number as usize) else { return };
-                let sights = self.lenses.iter().map(|lens| lens.sight_of_box(bounds));
-                let pixels = self.worst(bounds.diagonal(), sights);
-                heap.push(Candidate { pixels, place, step: Step::Open });
-            },
-        );
-        found.visited += visited;
+        let sights = self.lenses.iter().map(|lens| {
+            if lens.misses_box(&bounds, greatest) {
+                Sight::NONE
+            } else {
+                lens.sight_of_box(&bounds)
+            }
+        });
+        let pixels = self.worst(largest_m, sights);
+        if pixels >= Lens::SMALLEST_PX {
+            found.heap.push(Candidate { pixels, place: branch, step: Step::Climb });
+        }
+    }
+
+    /// Takes a branch of the tree apart.
+    fn take_apart(&self, branch: usize, found: &mut Found) {
+        match self.scene.tree.branch(branch).parts {
+            Parts::Branches(children) => {
+                for child in children {
+                    self.climb(child, found);
+                }
+            }
+            Parts::Item(number) => {
+                if let Some(place) = self.scene.place(number as usize) {
+                    self.open(place, found);
+                }
+            }
+        }
     }
 
     /// Looks at the roots of a dataset.
@@ -159,7 +177,9 @@ impl Search<'_> {
         let mut sights = std::mem::take(&mut found.root_sights);
         for &node in &self.scene.datasets[dataset].roots {
             let mark = sights.len();
-            let Some(root) = self.look_at(dataset, node, None, &mut sights, found) else { continue };
+            let Some(root) = self.look_at(dataset, node, None, &mut sights, found) else {
+                continue;
+            };
             // Nearer than its own size, it is as large as can be.
             let extent = 2.0 * node.volume.bounds().radius();
             let size = self.worst(extent, sights[mark..].iter().copied());

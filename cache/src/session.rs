@@ -26,8 +26,8 @@ use crate::view::View;
 ///
 /// # Changes
 ///
-/// When datasets come, go or are replaced, a session goes on drawing those of before until all
-/// pages that the view needs of those of now are in memory, or [`Self::ADOPT_WITHIN`] has passed:
+/// When datasets come, go or are replaced, a session goes on drawing those of before until
+/// those of now lack no more of the pages that the view needs, or [`Self::ADOPT_WITHIN`] has passed:
 /// nothing flashes up, and there is no hole. A selection is wholly of before or wholly of now.
 #[derive(Debug)]
 pub struct Session {
@@ -228,27 +228,30 @@ impl Session {
 
     /// Turns what was found into a selection and into requests.
     fn select(&mut self, store: &mut Store, now: Instant) {
-        let mut needs = Vec::new();
+        let mut requests = Vec::new();
+        let Showing { scene, found } = &self.shown;
+        let mut matched = self.matcher.compare(scene, found, store, &mut requests);
         if let Some((since, next)) = &self.next {
-            let Match { missing, .. } =
-                self.matcher.compare(&next.scene, &next.found, store, &mut needs);
+            let mut others = Vec::new();
+            let after = self.matcher.compare(&next.scene, &next.found, store, &mut others);
             let is_nothing_shown = self.last.pages.is_empty() && self.last.generation == 0;
-            if missing == 0 || is_nothing_shown || now >= *since + Self::ADOPT_WITHIN {
+            let is_late = now >= *since + Self::ADOPT_WITHIN;
+            // Where it lacks no more than the picture does now, nothing can flash up.
+            if after.missing <= matched.missing || is_nothing_shown || is_late {
                 self.adopt();
-                needs.clear();
+                (matched, requests) = (after, others);
+            } else {
+                // What the picture lacks comes before what the next one will.
+                requests.append(&mut others);
             }
         }
-        let Showing { scene, found } = &self.shown;
-        let mut shown = Vec::new();
-        let Match { pages, mut roots, missing, failed } =
-            self.matcher.compare(scene, found, store, &mut shown);
-        // What the picture lacks comes before what the next one will.
-        shown.append(&mut needs);
+        let Showing { found, .. } = &self.shown;
+        let Match { pages, mut roots, missing, failed } = matched;
         let stats = &mut store.stats;
         stats.hits += (found.wanted.len() - missing.min(found.wanted.len())) as u64;
         stats.misses += missing as u64;
         store.pin_roots(self.number, &mut roots);
-        store.replace_requests(self.number, shown);
+        store.replace_requests(self.number, requests);
         self.count_first(store);
         if missing == 0 && self.next.is_none() && self.look_ahead {
             self.prefetch(store, now);

@@ -87,9 +87,8 @@ impl Lens {
             -up - up_tangent * backward,
             -backward,
         ];
-        let corners = [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)].map(|(x, y)| {
-            (x * right_tangent * right + y * up_tangent * up - backward).normalize()
-        });
+        let corners = [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)]
+            .map(|(x, y)| (x * right_tangent * right + y * up_tangent * up - backward).normalize());
         Self {
             eye: view.eye,
             axis: view.axis(),
@@ -172,11 +171,10 @@ impl Lens {
     }
 
     /// Whether a box, of which nothing is farther than `greatest_radius` from the body's center, is
-    /// out of sight, or too small to be seen.
+    /// out of sight.
     pub(crate) fn misses_box(&self, bounds: &Aabb, greatest_radius: Meters) -> bool {
         self.horizon.is_some_and(|horizon| horizon.hides_box(bounds, greatest_radius))
             || bounds.outside(&self.frustum)
-            || self.pixels(bounds.diagonal(), self.sight_of_box(bounds).reach) < Self::SMALLEST_PX
     }
 
     /// How large a length can be on the screen, at a reach: `ARCHITECTURE.md`, the error on the

@@ -43,6 +43,8 @@ pub struct Bvh {
 #[derive(Clone, Copy, Debug)]
 struct Node {
     bounds: Aabb,
+    /// The greatest diagonal of the boxes of the items below, in meters.
+    largest_m: f64,
     parent: Option<usize>,
     content: Content,
 }
@@ -53,12 +55,39 @@ enum Content {
     Inner([usize; 2]),
 }
 
+/// A part of a tree, for whoever walks it in an order of its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Branch {
+    /// A box around all of its items.
+    pub bounds: Aabb,
+    /// The greatest diagonal of one of their boxes, in meters.
+    pub largest_m: f64,
+    /// What it is made of.
+    pub parts: Parts,
+}
+
+/// What a [`Branch`] is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Parts {
+    /// One item.
+    Item(u32),
+    /// Two more branches, for [`Bvh::branch`].
+    Branches([usize; 2]),
+}
+
 /// A place a new box may go to, by the least that it can cost there.
 struct Candidate {
     node: usize,
     /// What the ancestors grow by.
     inherited: f64,
     least: f64,
+}
+
+impl Node {
+    fn leaf(item: u32, bounds: Aabb) -> Self {
+        let largest_m = bounds.diagonal();
+        Self { bounds, largest_m, parent: None, content: Content::Leaf(item) }
+    }
 }
 
 impl Bvh {
@@ -110,23 +139,43 @@ impl Bvh {
         total / whole
     }
 
-    /// Calls `found` with every item, and its box, whose box, and all boxes around it, `keep` returns
-    /// true for.
-    pub fn visit(&self, mut keep: impl FnMut(&Aabb) -> bool, mut found: impl FnMut(u32, &Aabb)) {
+    /// Calls `found` with every item whose box, and all boxes around it, `keep` returns true for.
+    pub fn visit(&self, mut keep: impl FnMut(&Aabb) -> bool, mut found: impl FnMut(u32)) {
         self.walk(|node| {
             let kept = keep(&node.bounds);
             if let (true, Content::Leaf(item)) = (kept, node.content) {
-                found(item, &node.bounds);
+                found(item);
             }
             kept
         });
+    }
+
+    /// The branch that is the whole tree, for [`Self::branch`].
+    #[must_use]
+    pub fn trunk(&self) -> Option<usize> {
+        self.root
+    }
+
+    /// A branch of this very tree.
+    ///
+    /// # Panics
+    ///
+    /// If the tree has no such branch.
+    #[must_use]
+    pub fn branch(&self, index: usize) -> Branch {
+        let Node { bounds, largest_m, content, .. } = self.nodes[index];
+        let parts = match content {
+            Content::Leaf(item) => Parts::Item(item),
+            Content::Inner(children) => Parts::Branches(children),
+        };
+        Branch { bounds, largest_m, parts }
     }
 
     /// The items whose boxes meet `bounds`, in ascending order.
     #[must_use]
     pub fn meeting(&self, bounds: &Aabb) -> Vec<u32> {
         let mut items = Vec::new();
-        self.visit(|node| node.meets(bounds), |item, _| items.push(item));
+        self.visit(|node| node.meets(bounds), |item| items.push(item));
         items.sort_unstable();
         items
     }
@@ -134,7 +183,7 @@ impl Bvh {
     /// Adds a box, in place of the one that `item` had before.
     pub fn insert(&mut self, item: u32, bounds: Aabb) {
         self.remove(item);
-        let leaf = self.add(Node { bounds, parent: None, content: Content::Leaf(item) });
+        let leaf = self.add(Node::leaf(item, bounds));
         self.leaves.insert(item, leaf);
         let Some(sibling) = self.best_sibling(&bounds) else {
             self.root = Some(leaf);
@@ -142,11 +191,7 @@ impl Bvh {
         };
 
         let parent = self.nodes[sibling].parent;
-        let above = self.add(Node {
-            bounds: bounds.union(&self.nodes[sibling].bounds),
-            parent,
-            content: Content::Inner([sibling, leaf]),
-        });
+        let above = self.add(self.around([sibling, leaf], parent));
         self.replace_child(parent, sibling, above);
         self.nodes[sibling].parent = Some(above);
         self.nodes[leaf].parent = Some(above);
@@ -217,7 +262,7 @@ impl Bvh {
         let mut next = start;
         while let Some(index) = next {
             if let Content::Inner([one, other]) = self.nodes[index].content {
-                self.nodes[index].bounds = self.nodes[one].bounds.union(&self.nodes[other].bounds);
+                self.nodes[index] = self.around([one, other], self.nodes[index].parent);
                 self.rotate(index);
             }
             next = self.nodes[index].parent;
@@ -237,16 +282,29 @@ impl Bvh {
                 let joined = self.nodes[child].bounds.union(&self.nodes[kept].bounds);
                 let saved = area - joined.half_area();
                 if saved > best.0 {
-                    best = (saved, Some((child, sibling, traded, joined)));
+                    best = (saved, Some((child, sibling, traded)));
                 }
             }
         }
-        let Some((child, sibling, traded, joined)) = best.1 else { return };
+        let Some((child, sibling, traded)) = best.1 else { return };
         self.replace_child(Some(index), child, traded);
         self.replace_child(Some(sibling), traded, child);
         self.nodes[traded].parent = Some(index);
         self.nodes[child].parent = Some(sibling);
-        self.nodes[sibling].bounds = joined;
+        if let Content::Inner(children) = self.nodes[sibling].content {
+            self.nodes[sibling] = self.around(children, Some(index));
+        }
+    }
+
+    /// The node of two others.
+    fn around(&self, children: [usize; 2], parent: Option<usize>) -> Node {
+        let [one, other] = children.map(|child| &self.nodes[child]);
+        Node {
+            bounds: one.bounds.union(&other.bounds),
+            largest_m: one.largest_m.max(other.largest_m),
+            parent,
+            content: Content::Inner(children),
+        }
     }
 
     /// Puts `new` where `old` was: below `parent`, or at the root.

@@ -14,17 +14,20 @@ pub(super) fn build(items: Vec<(u32, Aabb)>) -> Bvh {
     let mut pending = vec![Pending { items, parent: None }];
     while let Some(Pending { mut items, parent }) = pending.pop() {
         let bounds = items.iter().fold(Aabb::EMPTY, |all, (_, one)| all.union(one));
+        let diagonals = items.iter().map(|(_, one)| one.diagonal());
+        let largest_m = diagonals.fold(0.0, f64::max);
         let index = tree.nodes.len();
         match items.as_slice() {
             [] => return tree,
             &[(item, bounds)] => {
-                tree.nodes.push(Node { bounds, parent, content: Content::Leaf(item) });
+                tree.nodes.push(Node { parent, ..Node::leaf(item, bounds) });
                 tree.leaves.insert(item, index);
             }
             _ => {
                 let right = split(&mut items);
                 // The children put themselves in their places.
-                tree.nodes.push(Node { bounds, parent, content: Content::Inner([index; 2]) });
+                let content = Content::Inner([index; 2]);
+                tree.nodes.push(Node { bounds, largest_m, parent, content });
                 pending.push(Pending { items: right, parent: Some(index) });
                 pending.push(Pending { items, parent: Some(index) });
             }

@@ -63,16 +63,16 @@ impl TryFrom<Stored> for Bvh {
                     if tree.leaves.insert(item, index).is_some() {
                         return Err(StoredError::Twice(item));
                     }
-                    Node { bounds, parent: None, content: Content::Leaf(item) }
+                    Node::leaf(item, bounds)
                 }
                 None => {
                     let (Some(one), Some(other)) = (finished.pop(), finished.pop()) else {
                         return Err(StoredError::Shape);
                     };
-                    let bounds = tree.nodes[one].bounds.union(&tree.nodes[other].bounds);
+                    let around = tree.around([one, other], None);
                     tree.nodes[one].parent = Some(index);
                     tree.nodes[other].parent = Some(index);
-                    Node { bounds, parent: None, content: Content::Inner([one, other]) }
+                    around
                 }
             };
             tree.nodes.push(node);

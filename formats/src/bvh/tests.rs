@@ -135,3 +135,43 @@ proptest! {
         prop_assert!((read.cost() - tree.cost()).abs() < 1e-9);
     }
 }
+
+/// Every branch knows the largest of its items, through all changes and when it is read back.
+#[test]
+fn branches_know_their_largest_item() {
+    fn check(tree: &Bvh, index: usize) -> f64 {
+        let Branch { bounds, largest_m, parts } = tree.branch(index);
+        let largest = match parts {
+            Parts::Item(item) => {
+                assert_eq!(tree.get(item), Some(bounds));
+                bounds.diagonal()
+            }
+            Parts::Branches(children) => children
+                .map(|child| {
+                    assert!(bounds.contains(&tree.branch(child).bounds));
+                    check(tree, child)
+                })
+                .into_iter()
+                .fold(0.0, f64::max),
+        };
+        assert_eq!(largest_m, largest);
+        largest
+    }
+    let made = |number: u32| {
+        let place = DVec3::new(
+            f64::from(number * 7919 % 1000),
+            f64::from(number * 104_729 % 1000),
+            f64::from(number % 10),
+        );
+        Aabb::new(place, place + DVec3::splat(f64::from(number * 31 % 17)))
+    };
+    let mut tree = Bvh::build((0..100).map(|number| (number, made(number))));
+    for number in 0..300 {
+        tree.insert(100 + number, made(100 + number));
+        tree.remove(number * 13 % (100 + number));
+        check(&tree, tree.trunk().unwrap());
+    }
+    let json = serde_json::to_string(&tree).unwrap();
+    let again: Bvh = serde_json::from_str(&json).unwrap();
+    check(&again, again.trunk().unwrap());
+}

@@ -117,7 +117,7 @@ fn queries(tree: &Bvh) -> (u64, u64) {
                 opened += 1;
                 bounds.meets(&region)
             },
-            |_, _| found += 1,
+            |_| found += 1,
         );
     }
     (opened, found)
