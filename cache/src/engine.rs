@@ -42,7 +42,7 @@ impl Engine {
         Ok(Self { shared, runtime: Some(runtime), visited, repeated })
     }
 
-    pub(crate) fn shared(&self) -> &Shared {
+    pub(crate) fn shared(&self) -> &Arc<Shared> {
         &self.shared
     }
 

@@ -116,21 +116,29 @@ impl Shared {
         let runtime = Handle::current();
         loop {
             self.wake.notified().await;
-            loop {
-                let (request, stalled) = {
-                    let mut store = self.store();
-                    (store.next(), store.stalled)
-                };
-                let Some(request) = request else {
-                    if stalled {
-                        self.tell();
-                    }
-                    break;
-                };
-                let load = Load { shared: Arc::clone(&self), work: request.work, ended: false };
-                runtime.spawn_blocking(move || load.run(&request));
-            }
+            self.start(&runtime);
         }
+    }
+
+    /// Starts as many loads as may run. For whoever can wait for threads to be started.
+    pub(crate) fn start(self: &Arc<Self>, runtime: &Handle) {
+        while let Some(request) = self.next() {
+            let shared = Arc::clone(self);
+            let load = Load { shared, work: request.work, ended: false };
+            runtime.spawn_blocking(move || load.run(&request));
+        }
+    }
+
+    /// The next load to start; if there is none for want of memory, sessions are told.
+    fn next(&self) -> Option<Request> {
+        let (request, stalled) = {
+            let mut store = self.store();
+            (store.next(), store.stalled)
+        };
+        if request.is_none() && stalled {
+            self.tell();
+        }
+        request
     }
 }
 

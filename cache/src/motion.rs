@@ -52,8 +52,9 @@ impl Motion {
         self.rotation += weight * (turn - self.rotation);
     }
 
-    /// The view after `ahead`, or `None` if it will not have changed.
-    pub(crate) fn predict(&self, ahead: Duration) -> Option<View> {
+    /// The view after `ahead`, above ground that is `radius_m` from the body's center; `None` if it
+    /// will not have changed.
+    pub(crate) fn predict(&self, ahead: Duration, radius_m: f64) -> Option<View> {
         let (_, view) = self.last?;
         let seconds = ahead.as_secs_f64();
         let (way, turn) = (self.velocity * seconds, self.rotation * seconds);
@@ -61,8 +62,18 @@ impl Motion {
             return None;
         }
         let orientation = DMat3::from_quat(DQuat::from_scaled_axis(turn)) * view.orientation;
-        Some(View { eye: view.eye + way, orientation, ..view })
+        Some(View { eye: above_ground(view.eye, way, radius_m), orientation, ..view })
     }
+}
+
+/// An eye that has gone some way; one that comes down does so ever more slowly, by equal factors.
+fn above_ground(eye: DVec3, way: DVec3, radius_m: f64) -> DVec3 {
+    let (before, after) = (eye.length() - radius_m, (eye + way).length() - radius_m);
+    if before <= 0.0 || after >= before {
+        return eye + way;
+    }
+    let height = before * ((after - before) / before).exp();
+    (eye + way).normalize_or_zero() * (radius_m + height)
 }
 
 /// The turn from one orientation to another: its axis, as long as its angle in radians.
@@ -97,7 +108,7 @@ mod tests {
         for step in 0..60 {
             motion.observe(&at(f64::from(step) / 60.0), start + step * frame);
         }
-        let expected = motion.predict(Duration::from_millis(500)).unwrap();
+        let expected = motion.predict(Duration::from_millis(500), 1e6).unwrap();
         let truth = at(59.0 / 60.0 + 0.5);
         assert!((expected.eye - truth.eye).length() < 1.0, "{expected:?}");
         let off = turn(expected.orientation, truth.orientation).length();
@@ -110,11 +121,29 @@ mod tests {
         let mut motion = Motion::default();
         for step in 0..10 {
             motion.observe(&view(DVec3::new(4e6, 0.0, 0.0), 0.0), start + step * frame);
-            assert_eq!(motion.predict(Duration::from_secs(1)), None);
+            assert_eq!(motion.predict(Duration::from_secs(1), 1e6), None);
         }
         motion.observe(&view(DVec3::new(0.0, 4e6, 0.0), 0.0), start + 10 * frame);
-        assert_eq!(motion.predict(Duration::from_secs(1)), None);
+        assert_eq!(motion.predict(Duration::from_secs(1), 1e6), None);
         motion.observe(&view(DVec3::new(0.0, 4e6, 0.0), f64::NAN), start + 11 * frame);
-        assert_eq!(motion.predict(Duration::from_secs(1)), None);
+        assert_eq!(motion.predict(Duration::from_secs(1), 1e6), None);
+    }
+
+    #[test]
+    fn an_eye_that_comes_down_stays_above_ground() {
+        let (start, frame) = (Instant::now(), Duration::from_secs(1) / 60);
+        let mut motion = Motion::default();
+        // Half as high every half second.
+        let height = |seconds: f64| 1e5 * 0.25_f64.powf(seconds);
+        for step in 0..60 {
+            let eye = DVec3::X * (3e6 + height(f64::from(step) / 60.0));
+            motion.observe(&view(eye, 0.0), start + step * frame);
+        }
+        let expected = motion.predict(Duration::from_millis(500), 3e6).unwrap();
+        let truth = height(59.0 / 60.0 + 0.5);
+        let off = (expected.eye.length() - 3e6) / truth;
+        assert!((0.8..1.2).contains(&off), "{off}");
+        let long = motion.predict(Duration::from_secs(10), 3e6).unwrap();
+        assert!(long.eye.length() > 3e6);
     }
 }

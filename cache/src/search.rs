@@ -19,11 +19,12 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
+use areoid_formats::address::PageAddress;
 use areoid_formats::bvh::{Branch, Parts};
 use areoid_formats::page::Kind;
 
 use crate::memo::Memo;
-use crate::scene::{Node, Scene};
+use crate::scene::{Dataset, Node, Scene};
 use crate::view::{Lens, Sight, View};
 
 /// A page in sight.
@@ -137,6 +138,9 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
+    /// How many levels of parts are looked at of a page that may not be seen.
+    const PARTS: u32 = 2;
+
     /// Puts a branch of the tree over the datasets among what is to come, by the largest that one of
     /// its datasets can be on the screen.
     fn climb(&self, branch: usize, found: &mut Found) {
@@ -255,8 +259,8 @@ impl Search<'_> {
         }
     }
 
-    /// Drops wanted pages of which no child is in sight: at the rim of the picture, a box reaches
-    /// around corners that its four parts do not. Children without data say nothing about what the
+    /// Drops wanted pages of which no part is in sight: at the rim of the picture, a box reaches around
+    /// corners that its parts do not. Children without data say nothing about what the
     /// page shows there.
     fn drop_unseen(&self, memo: &mut Memo, found: &mut Found) {
         let Found { wanted, seen, visited, culled, .. } = found;
@@ -269,13 +273,38 @@ impl Search<'_> {
             {
                 return true;
             }
-            let Some(children) = memo.children(dataset, page) else { return true };
-            *visited += children.len();
-            let known = children.len() == pyramid.children(page).count();
-            let unseen = known && children.iter().all(|child| self.is_out_of_sight(child));
+            let unseen = self.are_parts_unseen(dataset, page, Self::PARTS, memo, visited);
             *culled += usize::from(unseen);
             !unseen
         });
+    }
+
+    /// Whether all parts of a page, so many levels down, are known and out of sight.
+    fn are_parts_unseen(
+        &self,
+        dataset: &Dataset,
+        page: PageAddress,
+        levels: u32,
+        memo: &mut Memo,
+        visited: &mut usize,
+    ) -> bool {
+        let pyramid = dataset.info.grid.pyramid();
+        let Some(children) = memo.children(dataset, page) else { return false };
+        let known = children.len() == pyramid.children(page).count();
+        *visited += children.len();
+        let seen = children.iter().filter(|child| !self.is_out_of_sight(child));
+        // A page has at most four.
+        let mut parts = [None; 4];
+        for (part, child) in parts.iter_mut().zip(seen) {
+            *part = Some(child.entry.page);
+        }
+        let has_parts = levels > 1 && page.level.finer() != pyramid.finest();
+        known
+            && (has_parts || parts[0].is_none())
+            && parts
+                .into_iter()
+                .flatten()
+                .all(|part| self.are_parts_unseen(dataset, part, levels - 1, memo, visited))
     }
 
     fn is_out_of_sight(&self, node: &Node) -> bool {

@@ -319,7 +319,10 @@ impl Session {
         }
         *last = Some(now);
         let mut needs = Vec::new();
-        if let (Some(view), 1) = (self.motion.predict(Self::LOOK_AHEAD), self.views.len()) {
+        if let (Some(view), 1) = (
+            self.motion.predict(Self::LOOK_AHEAD, self.shown.scene.inscribed_radius().0),
+            self.views.len(),
+        ) {
             search(&self.shown.scene, &mut self.memo, &[view], allowance, found);
             self.matcher.expect(&self.shown.scene, found, store, &mut needs);
         }

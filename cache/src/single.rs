@@ -112,7 +112,7 @@ pub(crate) async fn load(
         store.add_session(turn.number);
         store.replace_requests(turn.number, vec![Request { work, dataset: known, entry, bytes }]);
     }
-    shared.wake();
+    shared.start(engine.handle());
     loop {
         {
             let mut store = shared.store();

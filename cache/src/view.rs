@@ -120,7 +120,21 @@ impl Lens {
     /// How near a box is to the view, and with it what lies in it.
     pub(crate) fn sight_of_box(&self, bounds: &Aabb) -> Sight {
         let distance = bounds.distance_from(self.eye);
-        Sight { distance, reach: distance * self.corner_cosine * self.corner_cosine }
+        // The angles θ of the middle and φ of the radius of the sphere around it.
+        let middle = bounds.center() - self.eye;
+        let length = middle.length();
+        let cos = self.axis.dot(middle) / length;
+        let sin_radius = 0.5 * bounds.diagonal() / length;
+        // NaN and what reaches around the eye fail the comparison.
+        let cosine = if sin_radius < 1.0 && cos > 0.0 {
+            let sin = (1.0 - cos * cos).max(0.0).sqrt();
+            cos * (1.0 - sin_radius * sin_radius).sqrt() - sin * sin_radius
+        } else {
+            0.0
+        };
+        let cosine = cosine.max(self.corner_cosine);
+        let along = -bounds.farthest_along(-self.axis) - self.axis.dot(self.eye);
+        Sight { distance, reach: (distance * cosine * cosine).max(along * cosine) }
     }
 
     /// At most the distance of a visible point that is no farther than `radius` from the body's

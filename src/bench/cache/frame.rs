@@ -129,7 +129,8 @@ fn beside(cache: &Cache, count: u32, delay: Duration, job: impl FnOnce()) -> Res
         busy.extend(spin.ok());
     }
     thread::scope(|scope| {
-        scope.spawn(|| {
+        let named = thread::Builder::new().name("changes".to_owned());
+        let spawned = named.spawn_scoped(scope, || {
             let (start, mut round) = (Instant::now(), 0_u32);
             while !done.load(Relaxed) {
                 let patch = &extra[round as usize / 2 % extra.len()];
@@ -149,7 +150,8 @@ fn beside(cache: &Cache, count: u32, delay: Duration, job: impl FnOnce()) -> Res
         });
         job();
         done.store(true, Relaxed);
-    });
+        spawned.map(|_| ())
+    })?;
     for mut busy in busy {
         busy.kill()?;
         busy.wait()?;
