@@ -176,7 +176,8 @@ fn axis(
     }
 }
 
-/// Weights of a stretched kernel that sum to 1 and balance, so that ramps stay ramps.
+/// Weights of a stretched kernel that keep what it keeps unstretched: constants and ramps, and parabolas
+/// if it has lobes. Without them a long wave is off by the square of its frequency, and not by the cube.
 fn fit(
     kernel: Kernel,
     stretch: f64,
@@ -190,22 +191,40 @@ fn fit(
     if stretch == 1.0 {
         return;
     }
-    // A hump under the kernel, g = 1 - (d / edge)², times a line: what is missing to sum and first
-    // moment.
+    // A hump under the kernel, g = 1 - (d / edge)², times a parabola: what is missing to the moments.
     let edge = (out.len() / 2) as f64;
     let hump = |d: f64| (1.0 - (d / edge).powi(2)).max(0.0);
-    let (mut sum, mut first, mut moments) = (0.0, 0.0, [0.0; 3]);
+    let (mut found, mut moments) = ([0.0; 3], [0.0; 5]);
     for (&weight, d) in out.iter().zip(distances.clone()) {
-        let weight = f64::from(weight);
-        sum += weight;
-        first += weight * d;
-        let g = hump(d);
-        moments = [moments[0] + g, moments[1] + g * d, moments[2] + g * d * d];
+        let powers = [1.0, d, d * d, d * d * d, d * d * d * d];
+        for (found, power) in found.iter_mut().zip(powers) {
+            *found += f64::from(weight) * power;
+        }
+        for (moment, power) in moments.iter_mut().zip(powers) {
+            *moment += hump(d) * power;
+        }
     }
-    let first = first / sum;
-    let determinant = moments[0] * moments[2] - moments[1] * moments[1];
-    let (a, b) = (first * moments[1] / determinant, -first * moments[0] / determinant);
+    let [sum, first, second] = found;
+    let [a, b, c] = match kernel {
+        Kernel::Bilinear => line(moments, -first / sum),
+        _ => parabola(moments, [-first / sum, -second / sum]),
+    };
     for (weight, d) in out.iter_mut().zip(distances) {
-        *weight = narrow(f64::from(*weight) / sum + hump(d) * (a + b * d));
+        *weight = narrow(f64::from(*weight) / sum + hump(d) * (a + d * (b + d * c)));
     }
+}
+
+/// The line a + b d that, weighted by something with these moments, has sum 0 and this first moment.
+fn line([zero, one, two, ..]: [f64; 5], first: f64) -> [f64; 3] {
+    let per_determinant = first / (zero * two - one * one);
+    [-one * per_determinant, zero * per_determinant, 0.0]
+}
+
+/// The parabola a + b d + c d² that has sum 0 and these first two moments, by Cramer's rule.
+fn parabola([zero, one, two, three, four]: [f64; 5], [first, second]: [f64; 2]) -> [f64; 3] {
+    let [ab, ac] = [two * three - one * four, one * three - two * two];
+    let [bb, bc, cc] = [zero * four - two * two, one * two - zero * three, zero * two - one * one];
+    let determinant = zero * (two * four - three * three) + one * ab + two * ac;
+    [ab * first + ac * second, bb * first + bc * second, bc * first + cc * second]
+        .map(|part| part / determinant)
 }
