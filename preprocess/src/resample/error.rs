@@ -70,7 +70,10 @@ pub(super) fn source_error(
         for rect in rects {
             room.patch.read(source, rect)?;
             for tile in back.tiles(wide(&rect.rows), wide(&rect.cols)) {
-                if !interior.may_meet(back, tile) {
+                let pixels =
+                    Rect { rows: narrow(tile.row, tile.rows), cols: narrow(tile.col, tile.cols) };
+                let has_data = || room.patch.has_data(source.kind(), rect, &pixels);
+                if !(interior.may_meet(back, tile) && has_data()) {
                     continue;
                 }
                 back.places(tile, &mut room.coords);
@@ -92,6 +95,11 @@ pub(super) fn source_error(
 
 fn wide(range: &std::ops::Range<u32>) -> std::ops::Range<i64> {
     i64::from(range.start)..i64::from(range.end)
+}
+
+fn narrow(start: i64, length: usize) -> std::ops::Range<u32> {
+    let number = |at: i64| u32::try_from(at).expect("pixels of a rectangle");
+    number(start)..number(start + length as i64)
 }
 
 /// The valid texels of a page.

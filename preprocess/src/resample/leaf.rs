@@ -113,8 +113,9 @@ impl Resampler {
         let (rows, cols) = (top..top + i64::from(height), left..left + i64::from(width));
         let channels = self.prepared.channels();
         let mut canvas: Option<Canvas> = None;
+        let named = &self.plan.needs(page).tiles;
         for tile in self.plan.transform.tiles(rows, cols) {
-            if !self.sample(tile, room)? {
+            if !self.sample(tile, named, room)? {
                 continue;
             }
             let canvas = canvas.get_or_insert_with(|| Canvas {
@@ -130,14 +131,23 @@ impl Resampler {
     }
 
     /// Samples a tile into the room; false if none of its texels can be valid.
-    fn sample(&self, tile: TargetTile, room: &mut Room) -> Result<bool, RasterError> {
+    fn sample(
+        &self,
+        tile: TargetTile,
+        named: &[PreparedAt],
+        room: &mut Room,
+    ) -> Result<bool, RasterError> {
         let Room { coords, window, scratch, sampled } = room;
         if self.plan.transform.range(tile).is_none() {
             return Ok(false);
         }
         let footprint = self.plan.transform.coords(tile, coords);
         let kernel = self.plan.resampling.kernel;
-        if !window.assemble(&self.prepared, coords.range, kernel.reach(footprint))? {
+        // Of estimates, those of parts may miss what that of the whole has.
+        let estimated = !self.plan.transform.ranges_are_bounds();
+        let wanted = |tile: PreparedAt| estimated || named.binary_search(&tile).is_ok();
+        let reach = kernel.reach(footprint);
+        if !window.assemble(&self.prepared, coords.range, reach, wanted)? {
             return Ok(false);
         }
         kernel.sample(self.plan.resampling.limit, coords, footprint, window, scratch, sampled);

@@ -35,6 +35,9 @@ pub struct PreparedAt {
 /// Texels below which a rectangle is not cut further to name fewer tiles.
 const FINEST_CUT: usize = 16;
 
+/// Places named are so much wider.
+const SLACK_PX: f64 = 1.0 / 1024.0;
+
 /// The prepared tiles that the interior of a leaf may need, sorted: all that it does, and few more.
 ///
 /// `reach` is what a kernel reaches for a footprint. It is asked for the same tiles of texels that
@@ -75,6 +78,9 @@ pub fn prepared_tiles(
 /// tile or the texels are few, else what its quarters need.
 fn name(transform: &Transform, texels: TargetTile, reach: Reach, found: &mut Vec<PreparedAt>) {
     let Some(range) = transform.range(texels) else { return };
+    // A place is that of a tile of texels, and may be another by rounding than that of a quarter.
+    let [left, right, top, bottom] = range;
+    let range = [left - SLACK_PX, right + SLACK_PX, top - SLACK_PX, bottom + SLACK_PX];
     let rects = window(transform.source(), range, reach);
     let count: u64 = rects.iter().map(|rect| tiles_of(rect).count() as u64).sum();
     let side = texels.rows.max(texels.cols);

@@ -4,6 +4,7 @@ use std::fmt::Debug;
 use std::ops::Range;
 use std::path::Path;
 
+use areoid_formats::lanes;
 use areoid_formats::page::Kind;
 use areoid_formats::pyramid::Extent;
 
@@ -72,6 +73,21 @@ pub(super) struct Patch {
 }
 
 impl Patch {
+    /// Whether there is data in a rectangle of what was read as `rect`, both of the same source of `kind`.
+    pub(super) fn has_data(&self, kind: Kind, rect: &Rect, part: &Rect) -> bool {
+        let stride = rect.cols.len();
+        let from = (part.cols.start - rect.cols.start) as usize;
+        let rows = part.rows.start - rect.rows.start..part.rows.end - rect.rows.start;
+        let line = |row: u32| {
+            let first = row as usize * stride + from;
+            first..first + part.cols.len()
+        };
+        rows.map(line).any(|line| match kind {
+            Kind::Height => !lanes::none(&self.heights[line], |height| !height.is_nan()),
+            Kind::Color | Kind::Normal => !lanes::none(&self.alpha[line], |alpha| alpha != 0),
+        })
+    }
+
     /// Reads `rect`, row by row, by its source's kind.
     ///
     /// # Errors

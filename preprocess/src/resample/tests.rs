@@ -2,7 +2,8 @@
 
 use areoid_formats::body::Body;
 use areoid_formats::geodesy::{Geographic, surface_normal};
-use areoid_formats::projection::{Crs, MapPoint, Pole, Projection};
+use areoid_formats::projection::{Crs, MapPoint, PolarScale, PolarStereographic, Pole, Projection};
+use areoid_formats::units::{Meters, Radians};
 
 use super::target::{TargetMap, TargetRequest, target_grid};
 use super::*;
@@ -184,6 +185,41 @@ fn a_wave_is_the_same_on_another_grid() {
             assert!(made <= tiles, "{made} prepared of {tiles}");
             assert!(resampler.decoded_blocks() <= resampler.blocks());
         }
+    }
+}
+
+/// The rectangle about a tile of texels that lies across the pixels has corners that none of them needs:
+/// squares there were asked for, and made anew each time, though no leaf had announced them.
+#[test]
+fn squares_and_blocks_are_made_once_where_leaves_lie_across_them() {
+    let map = PolarStereographic {
+        pole: Pole::North,
+        central_meridian: Radians(0.3),
+        scale: PolarScale::AtPole(1.0),
+        false_easting: Meters(0.0),
+        false_northing: Meters(0.0),
+    };
+    let crs = Crs::new(Projection::PolarStereographic(map), moon().ellipsoid);
+    let pixel = 3.5 * moon().ellipsoid.a().0 / 1100.0;
+    let half = 550.0 * pixel;
+    for kernel in [Kernel::Bilinear, Kernel::QuinticSpline] {
+        let polar = painted(crs, [-half, half], pixel, (1100, 1100), wave(16.0));
+        let placement = polar.placement().unwrap();
+        let map = TargetMap::Equirectangular;
+        let grid =
+            target_grid(&[placement], TargetRequest { map, pixel_size: None, page_side: 130 });
+        let resampling =
+            Resampling { kernel, limit: RangeLimit::None, precision: Precision::default() };
+        let resampler =
+            Resampler::new(grid.unwrap(), polar, placement, Kind::Height, resampling).unwrap();
+        for leaf in leaves(resampler.grid()) {
+            resampler.read(leaf).unwrap();
+            resampler.source_error(leaf, None).unwrap();
+        }
+        let (made, tiles) = resampler.prepared_tiles();
+        assert!(made <= tiles, "{kernel:?}: {made} prepared of {tiles}");
+        let (decoded, blocks) = (resampler.decoded_blocks(), resampler.blocks());
+        assert!(decoded <= blocks, "{kernel:?}: {decoded} decoded of {blocks}");
     }
 }
 

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::extension::{Pixel, Run};
+use super::needs::PreparedAt;
 use super::prepare::{PREPARED, Prepared, PreparedSource};
 use crate::raster::RasterError;
 
@@ -61,7 +62,8 @@ impl View<'_> {
 impl Window {
     /// Fills the window for texels within `range`, as in
     /// [`Coords::range`](super::tile::Coords::range), whose taps reach `reach` pixels along columns
-    /// and along rows; false if no texel there can be valid.
+    /// and along rows; false if no texel there can be valid. Tiles that are not `wanted`, as the
+    /// corners of a rectangle about turned texels, are not made: 0 stands there.
     ///
     /// # Errors
     ///
@@ -75,6 +77,7 @@ impl Window {
         source: &PreparedSource,
         range: [f64; 4],
         reach: [i64; 2],
+        wanted: impl Fn(PreparedAt) -> bool,
     ) -> Result<bool, RasterError> {
         let [cols, rows] = [[range[0], range[1]], [range[2], range[3]]];
         #[expect(clippy::cast_possible_truncation, reason = "places of pixels")]
@@ -112,6 +115,10 @@ impl Window {
         for rows in split(&runs) {
             for cols in split(&extension.cols(left..right, rows.first.turned)) {
                 let (col, row) = (cols.first.index / PREPARED, rows.first.index / PREPARED);
+                if !wanted(PreparedAt { row, col }) {
+                    self.blank(rows, cols);
+                    continue;
+                }
                 let tile = source.get(col, row)?;
                 any |= !tile.is_empty() && rows.first.real && cols.first.real;
                 self.lay(&tile, rows, cols, len, real);
@@ -167,6 +174,15 @@ impl Window {
             self.mask(len);
             let alpha = tile.alpha().filter(|_| there);
             copy(alpha, &mut self.alpha, rows.len, cols, &lines, |row| at(row, stride));
+        }
+    }
+
+    /// Lays zeros over a run of rows and columns.
+    fn blank(&mut self, rows: Run, cols: Run) {
+        for plane in self.planes.iter_mut().chain(&mut self.pixels) {
+            for row in rows.at..rows.at + rows.len {
+                plane[row * self.stride + cols.at..][..cols.len].fill(0.0);
+            }
         }
     }
 

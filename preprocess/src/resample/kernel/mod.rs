@@ -85,8 +85,7 @@ impl Sampled {
 /// Memory that kernels use again.
 #[derive(Debug, Default)]
 pub struct Scratch {
-    across: stretched::Table,
-    down: stretched::Table,
+    tables: stretched::Tables,
     room: wide::Room,
 }
 

@@ -29,9 +29,13 @@ pub(super) fn stretch(footprint: Footprint) -> [f64; 2] {
     let Footprint { texel_u, texel_v, detail_u, detail_v } = footprint;
     [(texel_u, detail_u), (texel_v, detail_v)].map(|(texel, detail)| {
         let share = ((texel / detail - 1.6) / 0.4).clamp(0.0, 1.0);
-        1.0 + share * (texel.max(1.0) - 1.0)
+        let stretch = 1.0 + share * (texel.max(1.0) - 1.0);
+        (stretch * STEPS_TO_A_PIXEL).round() / STEPS_TO_A_PIXEL
     })
 }
+
+/// Kernels are stretched in steps, so that one table of weights serves many tiles of texels.
+const STEPS_TO_A_PIXEL: f64 = 64.0;
 
 /// Half the taps of a kernel stretched along an axis.
 pub(super) fn reach(kernel: Kernel, stretch: f64) -> i64 {
@@ -87,40 +91,61 @@ pub(super) fn sample(
     scratch: &mut Scratch,
     out: &mut [f32],
 ) {
-    let reach = stretch.map(|stretch| reach(kernel, stretch));
-    let Scratch { across, down, room } = scratch;
-    across.tabulate(kernel, stretch[0], reach[0]);
-    down.tabulate(kernel, stretch[1], reach[1]);
-    wide::sample([&*across, &*down], coords, view, room, out);
+    let Scratch { tables, room } = scratch;
+    tables.make_room();
+    let [across, down] = stretch.map(|stretch| tables.place(kernel, stretch));
+    wide::sample([&tables.0[across], &tables.0[down]], coords, view, room, out);
 }
 
-/// Weights of fractions 0, 1/[`STEPS`], …, 1, for as long as kernel and stretch are the same.
+/// The tables of stretches seen of late, those of one kernel as long as it is the same.
 #[derive(Debug, Default)]
-pub(super) struct Table {
-    of: Option<(Kernel, f64)>,
+pub(super) struct Tables(Vec<Table>);
+
+/// So many times [`LOAD`] weights are kept, or one texel's two tables if they are more: 2 MiB.
+const KEPT: usize = 1 << 16;
+
+impl Tables {
+    /// Forgets all if they are many.
+    fn make_room(&mut self) {
+        if self.0.iter().map(|table| table.weights.len()).sum::<usize>() > KEPT {
+            self.0.clear();
+        }
+    }
+
+    /// Where the table of a stretch is, which is made if it is not there.
+    fn place(&mut self, kernel: Kernel, stretch: f64) -> usize {
+        if let Some(at) = self.0.iter().position(|table| table.of == (kernel, stretch)) {
+            return at;
+        }
+        self.0.push(Table::new(kernel, stretch));
+        self.0.len() - 1
+    }
+}
+
+/// Weights of fractions 0, 1/[`STEPS`], …, 1.
+#[derive(Debug)]
+struct Table {
+    of: (Kernel, f64),
     reach: i64,
     /// A row a fraction, with zeros behind its taps up to a multiple of [`LOAD`].
     weights: Vec<[f32; LOAD]>,
-    taps: Vec<f32>,
-    room: Vec<f32>,
 }
 
 /// Fractions in a table.
 const STEPS: usize = 256;
 
 impl Table {
-    fn tabulate(&mut self, kernel: Kernel, stretch: f64, reach: i64) {
-        if self.of == Some((kernel, stretch)) {
-            return;
-        }
-        (self.of, self.reach) = (Some((kernel, stretch)), reach);
-        self.weights.clear();
+    fn new(kernel: Kernel, stretch: f64) -> Self {
+        let reach = reach(kernel, stretch);
+        let mut made = Self { of: (kernel, stretch), reach, weights: Vec::new() };
+        let (mut taps, mut room) = (Vec::new(), Vec::new());
         for step in 0..=STEPS {
             let fraction = step as f64 / STEPS as f64;
-            axis(kernel, stretch, fraction, reach, &mut self.taps, &mut self.room);
-            self.taps.resize(self.chunks() * LOAD, 0.0);
-            self.weights.extend_from_slice(self.taps.as_chunks().0);
+            axis(kernel, stretch, fraction, reach, &mut taps, &mut room);
+            taps.resize(made.chunks() * LOAD, 0.0);
+            made.weights.extend_from_slice(taps.as_chunks().0);
         }
+        made
     }
 }
 
@@ -176,7 +201,8 @@ fn axis(
     }
 }
 
-/// Weights of a stretched kernel that sum to 1 and balance, so that ramps stay ramps.
+/// Weights of a stretched kernel that keep what it keeps unstretched: constants and ramps, and parabolas
+/// if it has lobes. Without them a long wave is off by the square of its frequency, and not by the cube.
 fn fit(
     kernel: Kernel,
     stretch: f64,
@@ -190,22 +216,40 @@ fn fit(
     if stretch == 1.0 {
         return;
     }
-    // A hump under the kernel, g = 1 - (d / edge)², times a line: what is missing to sum and first
-    // moment.
+    // A hump under the kernel, g = 1 - (d / edge)², times a parabola: what is missing to the moments.
     let edge = (out.len() / 2) as f64;
     let hump = |d: f64| (1.0 - (d / edge).powi(2)).max(0.0);
-    let (mut sum, mut first, mut moments) = (0.0, 0.0, [0.0; 3]);
+    let (mut found, mut moments) = ([0.0; 3], [0.0; 5]);
     for (&weight, d) in out.iter().zip(distances.clone()) {
-        let weight = f64::from(weight);
-        sum += weight;
-        first += weight * d;
-        let g = hump(d);
-        moments = [moments[0] + g, moments[1] + g * d, moments[2] + g * d * d];
+        let powers = [1.0, d, d * d, d * d * d, d * d * d * d];
+        for (found, power) in found.iter_mut().zip(powers) {
+            *found += f64::from(weight) * power;
+        }
+        for (moment, power) in moments.iter_mut().zip(powers) {
+            *moment += hump(d) * power;
+        }
     }
-    let first = first / sum;
-    let determinant = moments[0] * moments[2] - moments[1] * moments[1];
-    let (a, b) = (first * moments[1] / determinant, -first * moments[0] / determinant);
+    let [sum, first, second] = found;
+    let [a, b, c] = match kernel {
+        Kernel::Bilinear => line(moments, -first / sum),
+        _ => parabola(moments, [-first / sum, -second / sum]),
+    };
     for (weight, d) in out.iter_mut().zip(distances) {
-        *weight = narrow(f64::from(*weight) / sum + hump(d) * (a + b * d));
+        *weight = narrow(f64::from(*weight) / sum + hump(d) * (a + d * (b + d * c)));
     }
+}
+
+/// The line a + b d that, weighted by something with these moments, has sum 0 and this first moment.
+fn line([zero, one, two, ..]: [f64; 5], first: f64) -> [f64; 3] {
+    let per_determinant = first / (zero * two - one * one);
+    [-one * per_determinant, zero * per_determinant, 0.0]
+}
+
+/// The parabola a + b d + c d² that has sum 0 and these first two moments, by Cramer's rule.
+fn parabola([zero, one, two, three, four]: [f64; 5], [first, second]: [f64; 2]) -> [f64; 3] {
+    let [ab, ac] = [two * three - one * four, one * three - two * two];
+    let [bb, bc, cc] = [zero * four - two * two, one * two - zero * three, zero * two - one * one];
+    let determinant = zero * (two * four - three * three) + one * ab + two * ac;
+    [ab * first + ac * second, bb * first + bc * second, bc * first + cc * second]
+        .map(|part| part / determinant)
 }

@@ -58,7 +58,7 @@ fn sample(
     footprint: Footprint,
 ) -> Sampled {
     let (mut window, mut out) = (Window::default(), Sampled::default());
-    window.assemble(source, coords.range, kernel.reach(footprint)).unwrap();
+    window.assemble(source, coords.range, kernel.reach(footprint), |_| true).unwrap();
     kernel.sample(limit, coords, footprint, &window, &mut Scratch::default(), &mut out);
     out
 }
@@ -212,7 +212,7 @@ fn kernels_widen_only_where_texels_are_far_apart() {
     ] {
         let footprint = Footprint { texel_u: texel, detail_u: detail, texel_v: 1.0, detail_v: 1.0 };
         let [u, v] = stretched::stretch(footprint);
-        assert!((u - expected).abs() < 1e-9 && v == 1.0, "{texel} {detail}: {u}");
+        assert!((u - expected).abs() <= 1.0 / 128.0 && v == 1.0, "{texel} {detail}: {u}");
     }
 }
 
@@ -274,6 +274,26 @@ fn ramps_stay_to_a_millionth_of_a_pixel() {
             for ((&u, &v), &texel) in coords.u.iter().zip(&coords.v).zip(&out.planes[0]) {
                 let error = f64::from(texel) - ((u - 130.0) + 0.25 * (v - 128.0));
                 assert!(error.abs() <= most, "{kernel:?} {footprint:?}: {error:e}");
+            }
+        }
+    }
+}
+
+/// Where texels were a little farther apart than pixels, a wave of 273 pixels was off by 50 roundings:
+/// stretched kernels had a second moment.
+#[test]
+fn parabolas_stay_however_far_texels_are_apart() {
+    let field = |u: f64, v: f64| 0.125 * ((u - 130.0).powi(2) - (v - 128.0).powi(2));
+    #[expect(clippy::cast_possible_truncation, reason = "pixels are f32, and eighths")]
+    let pixel = |col: u32, row: u32| field(f64::from(col), f64::from(row)) as f32;
+    for kernel in [Kernel::Cubic, Kernel::CubicSpline, Kernel::QuinticSpline] {
+        let source = prepared(kernel, InMemory::heights(open(300, 280), pixel));
+        let coords = places(3000, [124.0, 136.0, 122.0, 134.0], 37);
+        for apart in [1.0, 1.59, 1.601, 1.67, 1.8, 2.0, 3.3] {
+            let out = sample(kernel, RangeLimit::None, &source, &coords, sparse(apart));
+            for ((&u, &v), &texel) in coords.u.iter().zip(&coords.v).zip(&out.planes[0]) {
+                let error = f64::from(texel) - field(u, v);
+                assert!(error.abs() <= 5e-6 * apart, "{kernel:?} {apart}: {error:e}");
             }
         }
     }

@@ -29,10 +29,12 @@ use areoid_formats::lanes;
 ///
 /// Where none is valid all become 0.
 pub(super) fn fill(pixels: &mut [f32], alpha: &[u8], width: usize, rings: usize, room: &mut Room) {
-    let Room { known, next, values } = room;
+    let Room { known, queued, next, values } = room;
     known.clear();
     known.extend(alpha.iter().map(|&alpha| alpha != 0));
     rim(known, width, next);
+    queued.clear();
+    queued.resize(known.len(), false);
     for _ring in 0..rings {
         values.clear();
         values.extend(next.iter().map(|&at| guess(pixels, known, width, at)));
@@ -42,10 +44,13 @@ pub(super) fn fill(pixels: &mut [f32], alpha: &[u8], width: usize, rings: usize,
         }
         let filled = std::mem::take(next);
         for at in filled {
-            next.extend(around(at, width, known.len()).filter(|&beside| !known[beside]));
+            for beside in around(at, width, known.len()) {
+                if !(known[beside] || queued[beside]) {
+                    queued[beside] = true;
+                    next.push(beside);
+                }
+            }
         }
-        next.sort_unstable();
-        next.dedup();
         if next.is_empty() {
             break;
         }
@@ -58,6 +63,8 @@ pub(super) fn fill(pixels: &mut [f32], alpha: &[u8], width: usize, rings: usize,
 pub(super) struct Room {
     /// Which pixels have a value.
     known: Vec<bool>,
+    /// Which are among `next`, or were.
+    queued: Vec<bool>,
     /// Those to be filled next, and with what.
     next: Vec<usize>,
     values: Vec<f32>,
@@ -96,6 +103,16 @@ fn around(at: usize, width: usize, len: usize) -> impl Iterator<Item = usize> {
 /// What the neighbors that have a value make of a pixel.
 fn guess(pixels: &[f32], known: &[bool], width: usize, at: usize) -> f32 {
     let (row, col) = (at / width, at % width);
+    let is_inside = |at: usize, len: usize| (3..len.saturating_sub(3)).contains(&at);
+    if is_inside(row, known.len() / width) && is_inside(col, width) {
+        return guess_inside(pixels, known, width, at);
+    }
+    guess_beside_an_edge(pixels, known, width, at)
+}
+
+/// The same of any pixel.
+fn guess_beside_an_edge(pixels: &[f32], known: &[bool], width: usize, at: usize) -> f32 {
+    let (row, col) = (at / width, at % width);
     let (mut sum, mut weights) = (0.0, 0.0);
     for beside in around(at, width, known.len()).filter(|&beside| known[beside]) {
         let (down, right) = (beside / width, beside % width);
@@ -110,18 +127,45 @@ fn guess(pixels: &[f32], known: &[bool], width: usize, at: usize) -> f32 {
             let at = row * width + col;
             known[at].then(|| f64::from(pixels[at]))
         };
-        let a = f64::from(pixels[beside]);
-        let slope = match (along(2), along(3)) {
-            (Some(b), Some(c)) => smaller(a - b, b - c),
-            (Some(b), None) => 0.5 * (a - b),
-            (None, _) => 0.0,
-        };
-        sum += weight * (a + slope);
+        sum += weight * along_line(f64::from(pixels[beside]), along(2), along(3));
         weights += weight;
     }
     #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is the point")]
     let guess = (sum / weights) as f32;
     guess
+}
+
+/// The same of a pixel that three others lie beside in every direction.
+fn guess_inside(pixels: &[f32], known: &[bool], width: usize, at: usize) -> f32 {
+    let steps = [width + 1, width, width - 1, 1];
+    let value = |at: usize| known[at].then(|| f64::from(pixels[at]));
+    let (mut sum, mut weights) = (0.0, 0.0);
+    let mut add = |weight: f64, [one, two, three]: [usize; 3]| {
+        if let Some(a) = value(one) {
+            sum += weight * along_line(a, value(two), value(three));
+            weights += weight;
+        }
+    };
+    // The order of `around`, so that sums are the same to the bit.
+    for (step, weight) in steps.into_iter().zip([0.5, 1.0, 0.5, 1.0]) {
+        add(weight, [at - step, at - 2 * step, at - 3 * step]);
+    }
+    for (step, weight) in steps.into_iter().zip([0.5, 1.0, 0.5, 1.0]).rev() {
+        add(weight, [at + step, at + 2 * step, at + 3 * step]);
+    }
+    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is the point")]
+    let guess = (sum / weights) as f32;
+    guess
+}
+
+/// What goes on from `a`, with `b` behind it and `c` behind that.
+fn along_line(a: f64, b: Option<f64>, c: Option<f64>) -> f64 {
+    let slope = match (b, c) {
+        (Some(b), Some(c)) => smaller(a - b, b - c),
+        (Some(b), None) => 0.5 * (a - b),
+        (None, _) => 0.0,
+    };
+    a + slope
 }
 
 /// The slope nearer to 0, or 0 between slopes that differ in sign.
@@ -175,6 +219,21 @@ mod tests {
         let alpha: Vec<u8> = (0..900).map(|at| u8::from(!is_hole(at))).collect();
         fill(&mut pixels, &alpha, 30, 3, &mut Room::default());
         assert!((0..900).all(|at| pixels[at] == ramp(at)));
+    }
+
+    /// What is near an edge asks before each step whether there is one; the rest need not.
+    #[test]
+    fn a_pixel_is_guessed_inside_as_beside_an_edge() {
+        let pixels: Vec<f32> = (0..77).map(|at| (at * at * 37 % 1009) as f32 + 0.1).collect();
+        let (width, center) = (7, 5 * 7 + 3);
+        for pattern in 1..2000 {
+            let known: Vec<bool> =
+                (0..77).map(|at| at != center && (at * pattern + at / 5) % 4099 % 3 > 0).collect();
+            let [inside, beside] = [guess_inside, guess_beside_an_edge]
+                .map(|guess| guess(&pixels, &known, width, center).to_bits());
+            assert_eq!(inside, beside);
+            assert_eq!(inside, guess(&pixels, &known, width, center).to_bits());
+        }
     }
 
     #[test]

@@ -66,7 +66,7 @@ fn windows_are_the_extended_source() {
                 [-600.0, 1200.0, -5.0, 2.0],
             ] {
                 assert!(
-                    window.assemble(&source, [left, right, top, bottom], [2, 2]).unwrap()
+                    window.assemble(&source, [left, right, top, bottom], [2, 2], |_| true).unwrap()
                         || pole == PoleContact::None
                 );
                 let extension = source.extension();
@@ -208,6 +208,6 @@ fn a_tile_without_data_near_it_is_empty() {
         prepared(InMemory::heights(extent(800, 64, PoleContact::None), pixel), Filter::CubicSpline);
     assert!(source.get(0, 0).unwrap().is_empty());
     let mut window = Window::default();
-    assert!(!window.assemble(&source, [10.0, 200.0, 1.0, 9.0], [2, 2]).unwrap());
-    assert!(window.assemble(&source, [10.0, 600.0, 1.0, 9.0], [2, 2]).unwrap());
+    assert!(!window.assemble(&source, [10.0, 200.0, 1.0, 9.0], [2, 2], |_| true).unwrap());
+    assert!(window.assemble(&source, [10.0, 600.0, 1.0, 9.0], [2, 2], |_| true).unwrap());
 }

@@ -263,6 +263,12 @@ impl Transform {
         (!none).then_some([left, right, top, bottom])
     }
 
+    /// Whether [`Self::range`] is a bound, and no estimate.
+    #[must_use]
+    pub(super) fn ranges_are_bounds(&self) -> bool {
+        !matches!(self.case, Case::Exact)
+    }
+
     /// Where a place among the target's texels lies in the source: the oracle of [`Self::coords`].
     ///
     /// # Domain
