@@ -27,6 +27,7 @@ enum Command {
     Height(crate::height::Args),
     Verify(crate::verify::Args),
     Remove(crate::remove::Args),
+    Serve(crate::serve::Args),
     Bench(crate::bench::Args),
     #[cfg(feature = "viewer")]
     Snapshot(crate::snapshot::Args),
@@ -43,6 +44,7 @@ impl Cli {
             Command::Height(args) => args.run(),
             Command::Verify(args) => args.run(),
             Command::Remove(args) => args.run(),
+            Command::Serve(args) => args.run(),
             Command::Bench(args) => args.run(),
             #[cfg(feature = "viewer")]
             Command::Snapshot(args) => args.run(),

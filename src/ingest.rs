@@ -31,7 +31,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::progress::{Bar, Screen};
 use crate::resources::PeakMemory;
-use crate::{info, output, resources};
+use crate::{output, resources};
 
 /// Turn rasters into a dataset of a catalog.
 ///
@@ -392,7 +392,7 @@ fn summary(outcome: &Outcome, peak: u64) -> serde_json::Value {
     let parts = outcome.parts.iter().map(|part| {
         json!({
             "name": part.name,
-            "grid": info::grid(&part.grid),
+            "grid": areoid_cache::describe::grid(&part.grid),
             "pages": pages(part),
             "bytes": part.bytes,
         })

@@ -13,6 +13,7 @@ mod page;
 mod progress;
 mod remove;
 mod resources;
+mod serve;
 #[cfg(feature = "viewer")]
 mod snapshot;
 mod verify;

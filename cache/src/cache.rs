@@ -132,7 +132,8 @@ impl Cache {
         options: Options,
     ) -> Result<Self, CacheError> {
         let scene = Scene::empty(body.clone()).changed(|_| false, newcomers);
-        let limits = Limits { loads: options.concurrent_loads.max(1), bytes: options.in_flight_bytes };
+        let limits =
+            Limits { loads: options.concurrent_loads.max(1), bytes: options.in_flight_bytes };
         let engine = Engine::new(scene, options.budget_bytes, limits);
         let engine = Arc::new(engine.map_err(CacheError::Threads)?);
         Ok(Self { engine, body, next_session: AtomicU64::new(1), problems })

@@ -43,6 +43,14 @@ mod follow;
 
 mod cache;
 
+pub mod describe;
+
+pub mod insertion;
+
+pub mod insertion_request;
+
+pub mod service;
+
 pub use cache::{Cache, Opening, Options, Progress};
 pub use open::CacheError;
 pub use pages::PageSource;

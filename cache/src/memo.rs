@@ -42,7 +42,8 @@ impl Memo {
                 let family = entry.into_mut();
                 family.stamp = stamp;
                 if family.terrain != terrain {
-                    family.nodes = family.nodes.iter().map(|node| dataset.node(node.entry)).collect();
+                    family.nodes =
+                        family.nodes.iter().map(|node| dataset.node(node.entry)).collect();
                     family.terrain = terrain;
                 }
                 Some(&family.nodes)

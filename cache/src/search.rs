@@ -257,8 +257,7 @@ impl Search<'_> {
     }
 
     fn is_out_of_sight(&self, node: &Node) -> bool {
-        node.entry.valid_fraction <= 0.0
-            || self.lenses.iter().all(|lens| lens.misses(&node.volume))
+        node.entry.valid_fraction <= 0.0 || self.lenses.iter().all(|lens| lens.misses(&node.volume))
     }
 
     /// A page as it is seen, one sight for each view; or `None`, and none, if it is not.

@@ -260,8 +260,8 @@ impl Store {
     /// Ends a load if nobody wants it any more; whether it did.
     pub(crate) fn cancel_if_unwanted(&mut self, work: Work) -> bool {
         let mut queues = self.queues.values();
-        let wanted = queues
-            .any(|queue| queue.wanted.contains(&work) || queue.wanted_ahead.contains(&work));
+        let wanted =
+            queues.any(|queue| queue.wanted.contains(&work) || queue.wanted_ahead.contains(&work));
         if !wanted {
             self.finish(work, Outcome::Cancelled);
         }

@@ -109,9 +109,9 @@ fn nobody_sees_a_mixture() {
     let cache = versions[0][0].cache(PLENTY, 2);
     let one_step = |round: usize| {
         let made = &versions[round % 2];
-        let newcomers = made.iter().map(|made| {
-            newcomer(made.info.clone(), Arc::clone(&made.archive) as _).unwrap()
-        });
+        let newcomers = made
+            .iter()
+            .map(|made| newcomer(made.info.clone(), Arc::clone(&made.archive) as _).unwrap());
         cache.engine().change(|_| true, newcomers.collect());
     };
     one_step(0);

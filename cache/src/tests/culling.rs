@@ -11,9 +11,9 @@ use areoid_preprocess::resample::target::{Split, split};
 use proptest::prelude::*;
 
 use super::*;
-use crate::scene::Scene;
 use crate::memo::Memo;
 use crate::scene::Newcomer;
+use crate::scene::Scene;
 use crate::search::Found;
 
 fn scene(datasets: &[&Gated]) -> Scene {
@@ -116,7 +116,8 @@ fn check(datasets: &[&Gated], scene: &Scene, view: &View) -> usize {
         assert!(
             found.seen[*place].pixels <= view.tolerance_px || {
                 let seen = &found.seen[*place];
-                seen.node.entry.page.level == scene.datasets[seen.dataset].info.grid.pyramid().finest()
+                seen.node.entry.page.level
+                    == scene.datasets[seen.dataset].info.grid.pyramid().finest()
             }
         );
     }

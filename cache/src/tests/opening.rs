@@ -3,7 +3,9 @@
 use std::io::Write;
 use std::path::Path;
 
-use areoid_formats::catalog::{Build, Existing, NewDataset, RealDisk, publish_build, remove_dataset};
+use areoid_formats::catalog::{
+    Build, Existing, NewDataset, RealDisk, publish_build, remove_dataset,
+};
 
 use super::*;
 use crate::CacheError;
