@@ -22,6 +22,7 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Ingest(crate::ingest::Args),
+    Insert(crate::insert::Args),
     Info(crate::info::Args),
     Page(crate::page::Args),
     Height(crate::height::Args),
@@ -39,6 +40,7 @@ impl Cli {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
         match self.command {
             Command::Ingest(args) => args.run(),
+            Command::Insert(args) => args.run(),
             Command::Info(args) => args.run(),
             Command::Page(args) => args.run(),
             Command::Height(args) => args.run(),

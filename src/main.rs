@@ -6,6 +6,7 @@ mod failure;
 mod height;
 mod info;
 mod ingest;
+mod insert;
 mod interrupt;
 mod npy;
 mod output;

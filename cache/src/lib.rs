@@ -51,6 +51,8 @@ pub mod insertion_request;
 
 pub mod service;
 
+pub mod remote;
+
 pub use cache::{Cache, Opening, Options, Progress};
 pub use open::CacheError;
 pub use pages::PageSource;

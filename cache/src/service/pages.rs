@@ -61,7 +61,8 @@ impl StoredPage {
         self.bytes.len() as u64 + Self::OVERHEAD_BYTES
     }
 
-    fn answer(&self, asked: &HeaderMap) -> Answer {
+    fn answer(&self, hub: &Hub, asked: &HeaderMap) -> Answer {
+        hub.metrics.bytes.fetch_add(self.bytes.len() as u64, Relaxed);
         let mut answer = Response::new(Content::whole(self.bytes.clone()));
         *answer.headers_mut() = self.headers.clone();
         tagged(answer, asked, &self.tag, IMMUTABLE)
@@ -104,14 +105,14 @@ pub(super) async fn page(hub: &Arc<Hub>, path: [&str; 5], asked: &HeaderMap) -> 
     let key = (served.serial, address);
     if let Some(page) = hub.pages.get(&key) {
         hub.metrics.hits.fetch_add(1, Relaxed);
-        return page.answer(asked);
+        return page.answer(hub, asked);
     }
     if archive.find_resident(address) == Some(None) {
         return empty();
     }
     let read = hub.pages.get_or_insert_async(&key, read(hub, &served, address)).await;
     match read {
-        Ok(page) => page.answer(asked),
+        Ok(page) => page.answer(hub, asked),
         Err(NoPage::Empty) => empty(),
         Err(error) => {
             hub.metrics.damaged.fetch_add(1, Relaxed);

@@ -46,8 +46,14 @@ pub(super) async fn answer(hub: Arc<Hub>, request: Request<Incoming>) -> Answer 
         hub.metrics.failed.fetch_add(1, Relaxed);
     }
     let answer = if is_head { answer::head(answer) } else { answer };
+    // Streams of events last as long as their clients: connections are counted, too.
+    if request.uri().path() == EVENTS {
+        return answer;
+    }
     answer.map(|content| content.holding(permit))
 }
+
+const EVENTS: &str = "/v1/events";
 
 async fn route(hub: &Arc<Hub>, request: &Request<Incoming>) -> Answer {
     let (path, asked) = (request.uri().path(), request.headers());

@@ -1,0 +1,12 @@
+//! A server's catalog, as if it were a folder's.
+//!
+//! ```text
+//!   Archive ──▶ HttpSource ──▶ disk cache ──▶ ranges of /v1/archives/{file}, retried, in bounded time
+//! ```
+
+mod client;
+
+mod administer;
+
+pub use administer::{insert, remove};
+pub use client::{Client, RemoteError};
