@@ -7,6 +7,7 @@
 //!   faults     damaged and missing files, clients that misbehave, too many of everything
 //!   changes    insertion, removal, other processes, and a reader that never sees a mixture
 //!   process    the binary: signals, descriptors, killed during an insertion
+//!   remote     a server read from afar
 //! ```
 //!
 //! A short form by default; `AREOID_SOAK=1` makes it 1,000 rounds.
@@ -20,5 +21,6 @@ mod service {
     mod entry;
     mod faults;
     mod process;
+    mod remote;
     mod rig;
 }

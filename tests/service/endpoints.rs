@@ -32,7 +32,9 @@ fn the_catalog_is_that_of_info_and_is_not_sent_twice() {
 
     let one = serving.get("/v1/datasets/pole");
     assert_eq!(one.json(), served["datasets"][0]);
-    for path in ["/v1/datasets/nobody", "/v1/datasets/", "/", "/v1", "/v1/catalog/x", "/v1/datasets/../x"] {
+    for path in
+        ["/v1/datasets/nobody", "/v1/datasets/", "/", "/v1", "/v1/catalog/x", "/v1/datasets/../x"]
+    {
         let missing = serving.get(path);
         assert_eq!(missing.status, 404, "{path}");
         assert!(missing.json()["error"].is_string(), "{path}");
@@ -50,7 +52,11 @@ fn a_page_is_its_payload_from_disk_and_then_from_memory() {
         let path = format!("{pages}/{level}/{row}/{col}");
         for _ in 0..2 {
             let answer = serving.get(&path);
-            assert_eq!((answer.status, &answer.body), (200, &archives[0].payload(entry).unwrap()), "{path}");
+            assert_eq!(
+                (answer.status, &answer.body),
+                (200, &archives[0].payload(entry).unwrap()),
+                "{path}"
+            );
             assert_eq!(answer.header("areoid-bound").parse(), Ok(entry.bound));
             assert_eq!(answer.header("areoid-min").parse(), Ok(entry.min));
             assert_eq!(answer.header("areoid-valid-fraction").parse(), Ok(entry.valid_fraction));
@@ -61,7 +67,10 @@ fn a_page_is_its_payload_from_disk_and_then_from_memory() {
         }
         let head = ask(serving.address(), "HEAD", &path, &[], "");
         let length = archives[0].payload(entry).unwrap().len().to_string();
-        assert_eq!((head.status, head.header("content-length"), head.body.len()), (200, length.as_str(), 0));
+        assert_eq!(
+            (head.status, head.header("content-length"), head.body.len()),
+            (200, length.as_str(), 0)
+        );
     }
     let count = entries.len() as f64;
     assert_eq!(serving.metric("areoid_page_faults_total"), count);
@@ -74,7 +83,13 @@ fn a_page_is_its_payload_from_disk_and_then_from_memory() {
         for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
             let page = PageAddress { level, row, col };
             let is_there = entries.iter().any(|entry| entry.page == page);
-            let answer = ask(serving.address(), "HEAD", &format!("{pages}/{}/{row}/{col}", level.0), &[], "");
+            let answer = ask(
+                serving.address(),
+                "HEAD",
+                &format!("{pages}/{}/{row}/{col}", level.0),
+                &[],
+                "",
+            );
             assert_eq!(answer.status, if is_there { 200 } else { 204 }, "{page:?}");
         }
         assert_eq!(serving.get(&format!("{pages}/{}/{rows}/0", level.0)).status, 404);
@@ -100,9 +115,15 @@ fn an_archive_is_a_file_with_ranges() {
     assert!(part.body == bytes[100..300_100], "other bytes");
     let last = range("bytes=-5");
     assert_eq!(last.body, bytes[bytes.len() - 5..]);
-    assert_eq!(last.header("content-range"), format!("bytes {}-{}/{}", bytes.len() - 5, bytes.len() - 1, bytes.len()));
+    assert_eq!(
+        last.header("content-range"),
+        format!("bytes {}-{}/{}", bytes.len() - 5, bytes.len() - 1, bytes.len())
+    );
     let beyond = range("bytes=99999999999-");
-    assert_eq!((beyond.status, beyond.header("content-range")), (416, format!("bytes */{}", bytes.len()).as_str()));
+    assert_eq!(
+        (beyond.status, beyond.header("content-range")),
+        (416, format!("bytes */{}", bytes.len()).as_str())
+    );
     let stale = [("range", "bytes=0-9"), ("if-range", "\"other\"")];
     assert_eq!(ask(serving.address(), "GET", &path, &stale, "").status, 200);
     let head = ask(serving.address(), "HEAD", &path, &[], "");
@@ -125,7 +146,9 @@ fn a_height_is_that_of_the_command_line() {
     let told: serde_json::Value = serde_json::from_slice(&told.stdout).unwrap();
     assert_eq!(answer, told["points"][0]);
     assert!(serving.get("/v1/height?lon=30&lat=-80").json()["height_m"].is_null());
-    for query in ["", "?lon=1", "?lon=1&lat=91", "?lon=x&lat=1", "?lon=inf&lat=0", "?lon=NaN&lat=NaN"] {
+    for query in
+        ["", "?lon=1", "?lon=1&lat=91", "?lon=x&lat=1", "?lon=inf&lat=0", "?lon=NaN&lat=NaN"]
+    {
         assert_eq!(serving.get(&format!("/v1/height{query}")).status, 400, "{query}");
     }
 }
@@ -136,9 +159,16 @@ fn events_tell_what_comes_and_goes() {
     let mut stream = connect(serving.address());
     stream.write_all(b"GET /v1/events HTTP/1.1\r\nhost: here\r\n\r\n").unwrap();
     let mut lines = BufReader::new(stream).lines().map(Result::unwrap);
-    let mut next = |event: &str| lines.find(|line| line.starts_with("event: ") && line.ends_with(event)).unwrap();
+    let mut next = |event: &str| {
+        lines.find(|line| line.starts_with("event: ") && line.ends_with(event)).unwrap()
+    };
     next("hello");
-    assert!(serving.insert(&serving.place.insertion("new", serde_json::json!({}))).text().contains("inserted"));
+    assert!(
+        serving
+            .insert(&serving.place.insertion("new", serde_json::json!({})))
+            .text()
+            .contains("inserted")
+    );
     next("inserted");
     let more = serde_json::json!({ "force": true, "priority": 3 });
     assert!(serving.insert(&serving.place.insertion("new", more)).text().contains("inserted"));
@@ -154,11 +184,16 @@ fn the_admin_listener_tells_its_state_to_anybody() {
         let answer = get(serving.admin(), path);
         assert_eq!((answer.status, answer.text().as_str()), (200, text));
     }
-    assert!(get(serving.admin(), "/metrics").text().contains("\n# TYPE areoid_requests_total counter\n"));
+    assert!(
+        get(serving.admin(), "/metrics")
+            .text()
+            .contains("\n# TYPE areoid_requests_total counter\n")
+    );
     // Neither listener does the other's work.
     assert_eq!(get(serving.admin(), "/v1/catalog").status, 404);
     let token = format!("Bearer {TOKEN}");
-    let public = ask(serving.address(), "DELETE", "/v1/datasets/pole", &[("authorization", &token)], "");
+    let public =
+        ask(serving.address(), "DELETE", "/v1/datasets/pole", &[("authorization", &token)], "");
     assert_eq!((public.status, serving.names().len()), (405, 1));
 }
 

@@ -27,8 +27,16 @@ fn a_wrong_token_is_refused() {
     let basic = format!("Basic {TOKEN}");
     for given in [&longer, &shorter, &other, &basic, "Bearer ", "Bearer", "", TOKEN] {
         let headers = [("authorization", given)];
-        assert_eq!(ask(serving.admin(), "POST", "/v1/datasets", &headers, &body).status, 401, "{given}");
-        assert_eq!(ask(serving.admin(), "DELETE", "/v1/datasets/pole", &headers, "").status, 401, "{given}");
+        assert_eq!(
+            ask(serving.admin(), "POST", "/v1/datasets", &headers, &body).status,
+            401,
+            "{given}"
+        );
+        assert_eq!(
+            ask(serving.admin(), "DELETE", "/v1/datasets/pole", &headers, "").status,
+            401,
+            "{given}"
+        );
     }
     assert_eq!(serving.names(), ["pole"]);
 }
@@ -39,7 +47,11 @@ fn without_a_configured_token_nobody_changes_anything() {
     let body = serving.place.insertion("new", json!({}));
     assert_eq!(serving.insert(&body).status, 403);
     assert_eq!(serving.remove("pole").status, 403);
-    assert_eq!(ask(serving.admin(), "DELETE", "/v1/datasets/pole", &[("authorization", "Bearer ")], "").status, 403);
+    assert_eq!(
+        ask(serving.admin(), "DELETE", "/v1/datasets/pole", &[("authorization", "Bearer ")], "")
+            .status,
+        403
+    );
     assert_eq!(serving.names(), ["pole"]);
 }
 

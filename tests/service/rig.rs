@@ -153,8 +153,15 @@ pub(crate) fn exchange(address: SocketAddr, bytes: &[u8]) -> Option<Answer> {
     Answer::parse(&answer)
 }
 
-pub(crate) fn ask(address: SocketAddr, method: &str, path: &str, headers: &[(&str, &str)], body: &str) -> Answer {
-    let headers: String = headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
+pub(crate) fn ask(
+    address: SocketAddr,
+    method: &str,
+    path: &str,
+    headers: &[(&str, &str)],
+    body: &str,
+) -> Answer {
+    let headers: String =
+        headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
     let length = body.len();
     let request = format!(
         "{method} {path} HTTP/1.1\r\nhost: here\r\nconnection: close\r\ncontent-length: {length}\r\n{headers}\r\n{body}"
@@ -212,7 +219,13 @@ impl Serving {
 
     pub(crate) fn remove(&self, name: &str) -> Answer {
         let token = format!("Bearer {TOKEN}");
-        ask(self.admin(), "DELETE", &format!("/v1/datasets/{name}"), &[("authorization", &token)], "")
+        ask(
+            self.admin(),
+            "DELETE",
+            &format!("/v1/datasets/{name}"),
+            &[("authorization", &token)],
+            "",
+        )
     }
 
     pub(crate) fn names(&self) -> Vec<String> {

@@ -8,5 +8,14 @@ mod client;
 
 mod administer;
 
+mod blocks;
+
+mod source;
+
+mod catalog;
+
 pub use administer::{insert, remove};
+pub use blocks::Blocks;
+pub use catalog::RemoteCatalog;
 pub use client::{Client, RemoteError};
+pub use source::HttpSource;

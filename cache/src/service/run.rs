@@ -150,39 +150,61 @@ impl Service {
 ///
 /// Any [`ServiceError`].
 pub fn run(options: &Options, started: impl FnOnce(&Service)) -> Result<(), ServiceError> {
-    let signals = runtime(1)?;
+    let runtime = runtime(1)?;
+    // From now on no signal is missed, and none ends the process by itself.
+    let mut signals = runtime.block_on(async { Signals::new() }).map_err(ServiceError::Threads)?;
     let service = Service::start(options)?;
     info!(listen = %service.public, admin = ?service.admin, "serving");
     started(&service);
-    signals.block_on(asked_to_end()).map_err(ServiceError::Threads)?;
+    runtime.block_on(signals.next());
     info!("ending");
-    let stopped = thread::spawn(move || service.stop());
-    signals.block_on(async {
-        let ended = spawn_blocking(move || stopped.join());
+    let stopping = thread::Builder::new().spawn(move || service.stop());
+    let stopping = stopping.map_err(ServiceError::Threads)?;
+    runtime.block_on(async {
+        let ended = spawn_blocking(move || stopping.join());
         tokio::select! {
             _ = ended => {}
-            _ = asked_to_end() => warn!("ended with requests in flight"),
+            () = signals.next() => warn!("ended with requests in flight"),
         }
     });
-    signals.shutdown_background();
+    runtime.shutdown_background();
     Ok(())
 }
 
-#[cfg(unix)]
-async fn asked_to_end() -> std::io::Result<()> {
-    use tokio::signal::unix::{SignalKind, signal};
-    let mut terminated = signal(SignalKind::terminate())?;
-    let mut interrupted = signal(SignalKind::interrupt())?;
-    tokio::select! {
-        _ = terminated.recv() => {}
-        _ = interrupted.recv() => {}
+/// What asks a process to end.
+struct Signals {
+    #[cfg(unix)]
+    all: [tokio::signal::unix::Signal; 2],
+}
+
+impl Signals {
+    #[cfg(unix)]
+    fn new() -> std::io::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self { all: [signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?] })
     }
-    Ok(())
-}
 
-#[cfg(not(unix))]
-async fn asked_to_end() -> std::io::Result<()> {
-    tokio::signal::ctrl_c().await
+    #[cfg(unix)]
+    async fn next(&mut self) {
+        let [terminated, interrupted] = &mut self.all;
+        tokio::select! {
+            _ = terminated.recv() => {}
+            _ = interrupted.recv() => {}
+        }
+    }
+
+    #[cfg(not(unix))]
+    fn new() -> std::io::Result<Self> {
+        Ok(Self {})
+    }
+
+    #[cfg(not(unix))]
+    async fn next(&mut self) {
+        // Without handlers the system ends the process itself.
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+    }
 }
 
 /// Shows what other processes change.
