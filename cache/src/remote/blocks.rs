@@ -68,7 +68,7 @@ impl Blocks {
     pub(super) fn write(&self, content: &str, number: u64, bytes: &[u8]) {
         let name = self.names.fetch_add(1, Relaxed);
         let new = self.folder.join(format!("{content}{NEW}{}-{name}", std::process::id()));
-        let whole = [&xxh3_64(bytes).to_le_bytes(), bytes].concat();
+        let whole = [&xxh3_64(bytes).to_le_bytes()[..], bytes].concat();
         let written =
             fs::write(&new, whole).and_then(|()| fs::rename(&new, self.path(content, number)));
         if written.is_err() {

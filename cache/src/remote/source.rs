@@ -27,7 +27,7 @@ const RANGE_BYTES: u64 = 8 << 20;
 ///
 /// # Threads
 ///
-/// As [`ByteSource`] has it. A read takes at most [`TRIES`] times the client's time-outs.
+/// As [`ByteSource`] has it. A read takes at most four times the client's time-outs.
 pub struct HttpSource {
     client: Client,
     url: String,
@@ -96,12 +96,16 @@ impl HttpSource {
             status => return Err(io::Error::other(format!("the server answers {status}"))),
         }
         let tag = answer.headers().get("etag").and_then(|tag| tag.to_str().ok());
-        if tag.map(|tag| tag.trim_matches('"')) != Some(&self.content) {
+        if tag.map(|tag| tag.trim_matches('"')) != Some(self.content.as_str()) {
             return Err(io::Error::new(io::ErrorKind::InvalidData, "another archive answers"));
         }
         let length = usize::try_from(end - start).map_err(io::Error::other)?;
-        let mut bytes = vec![0; length];
-        answer.into_body().into_reader().read_exact(&mut bytes)?;
+        let mut bytes = Vec::with_capacity(length);
+        // One more is asked for: a connection is kept when the end of its answer was seen.
+        answer.into_body().into_reader().take(end - start + 1).read_to_end(&mut bytes)?;
+        if bytes.len() != length {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
         Ok(bytes)
     }
 
