@@ -69,7 +69,7 @@ impl Client {
     /// [`RemoteError::Url`].
     pub fn new(url: &str) -> Result<Self, RemoteError> {
         let base = url.trim_end_matches('/').to_owned();
-        if !base.strip_prefix("http://").is_some_and(|host| !host.is_empty()) {
+        if base.strip_prefix("http://").is_none_or(str::is_empty) {
             return Err(RemoteError::Url { url: url.to_owned() });
         }
         let config = Agent::config_builder()

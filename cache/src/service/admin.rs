@@ -9,14 +9,14 @@ use areoid_formats::catalog::{CatalogError, RealDisk, remove_dataset};
 use bytes::Bytes;
 use http_body_util::{BodyExt as _, LengthLimitError, Limited};
 use hyper::body::Incoming;
-use hyper::header::{AUTHORIZATION, HeaderMap, HeaderValue, WWW_AUTHENTICATE};
+use hyper::header::{AUTHORIZATION, HeaderMap, HeaderValue};
 use hyper::{Method, Request, StatusCode};
 use serde_json::json;
 use subtle::ConstantTimeEq as _;
 use tokio::task::spawn_blocking;
 use tracing::info;
 
-use super::answer::{self, Answer};
+use super::answer::{self, Answer, Refusal};
 use super::hub::Hub;
 use super::mutate;
 use super::options::{Admin, ServiceError};
@@ -54,10 +54,10 @@ impl Gate {
     }
 
     /// Refuses whoever has not the token.
-    fn check(&self, asked: &HeaderMap) -> Result<(), Answer> {
+    fn check(&self, asked: &HeaderMap) -> Result<(), Refusal> {
         let Some(token) = &self.token else {
             let reason = "nothing can be changed: the service was started without a token file";
-            return Err(answer::error(StatusCode::FORBIDDEN, reason));
+            return Err(Refusal::new(StatusCode::FORBIDDEN, reason));
         };
         let given = asked.get(AUTHORIZATION).map(HeaderValue::as_bytes);
         let given = given.and_then(|given| given.split_at_checked(b"Bearer ".len()));
@@ -66,9 +66,7 @@ impl Gate {
         if given.is_some_and(|(_, given)| given.ct_eq(token).into()) {
             return Ok(());
         }
-        let mut answer = answer::error(StatusCode::UNAUTHORIZED, "this takes the token");
-        answer.headers_mut().insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
-        Err(answer)
+        Err(Refusal::new(StatusCode::UNAUTHORIZED, "this takes the token"))
     }
 
     /// The raster without symbolic links, if it lies where rasters may. Waits for the disk.
@@ -104,12 +102,12 @@ pub(super) async fn answer(hub: Arc<Hub>, gate: Arc<Gate>, request: Request<Inco
     let path = request.uri().path().to_owned();
     let answer = match (request.method(), path.strip_prefix("/v1/datasets")) {
         (&Method::POST, Some("")) => {
-            insert(hub, gate, request).await.unwrap_or_else(|refusal| refusal)
+            insert(hub, gate, request).await.unwrap_or_else(Refusal::answer)
         }
         (&Method::DELETE, Some(name)) if name.starts_with('/') => {
             match gate.check(request.headers()) {
                 Ok(()) => remove(hub, name[1..].to_owned()).await,
-                Err(refusal) => refusal,
+                Err(refusal) => refusal.answer(),
             }
         }
         (_, Some(_)) => answer::error(StatusCode::METHOD_NOT_ALLOWED, "POST to it, or DELETE one"),
@@ -131,19 +129,19 @@ async fn insert(
     hub: Arc<Hub>,
     gate: Arc<Gate>,
     request: Request<Incoming>,
-) -> Result<Answer, Answer> {
+) -> Result<Answer, Refusal> {
     gate.check(request.headers())?;
-    let refused = |reason: String| answer::error(StatusCode::BAD_REQUEST, reason);
+    let refused = |reason: String| Refusal::new(StatusCode::BAD_REQUEST, reason);
     let body = Limited::new(request.into_body(), BODY_BYTES).collect();
     let body = tokio::time::timeout(std::time::Duration::from_secs(10), body).await;
     let body: Bytes = match body {
         Ok(Ok(body)) => body.to_bytes(),
         Ok(Err(error)) if error.is::<LengthLimitError>() => {
             let reason = format!("the body has more than {BODY_BYTES} bytes");
-            return Err(answer::error(StatusCode::PAYLOAD_TOO_LARGE, reason));
+            return Err(Refusal::new(StatusCode::PAYLOAD_TOO_LARGE, reason));
         }
         Ok(Err(error)) => return Err(refused(error.to_string())),
-        Err(_) => return Err(answer::error(StatusCode::REQUEST_TIMEOUT, "the body did not come")),
+        Err(_) => return Err(Refusal::new(StatusCode::REQUEST_TIMEOUT, "the body did not come")),
     };
     let mut asked: InsertRequest =
         serde_json::from_slice(&body).map_err(|error| refused(error.to_string()))?;
@@ -151,11 +149,11 @@ async fn insert(
     let admitted = spawn_blocking(move || {
         for raster in &mut asked.rasters {
             let admitted = admitting.admit(raster);
-            *raster = admitted.map_err(|reason| answer::error(StatusCode::FORBIDDEN, reason))?;
+            *raster = admitted.map_err(|reason| Refusal::new(StatusCode::FORBIDDEN, reason))?;
         }
         // A coordinate system may be given by a file: here it may not.
         if asked.crs.as_deref().is_some_and(|crs| Path::new(crs).exists()) {
-            return Err(answer::error(StatusCode::FORBIDDEN, "crs is text here, not a file"));
+            return Err(Refusal::new(StatusCode::FORBIDDEN, "crs is text here, not a file"));
         }
         Ok(asked)
     });

@@ -8,7 +8,7 @@ use bytes::Bytes;
 use hyper::body::{Body, Frame, SizeHint};
 use hyper::header::{
     CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, ETAG, HeaderMap, HeaderValue, IF_NONE_MATCH,
-    RETRY_AFTER,
+    RETRY_AFTER, WWW_AUTHENTICATE,
 };
 use hyper::{Response, StatusCode};
 use serde_json::{Value, json};
@@ -109,6 +109,27 @@ pub(super) fn error(status: StatusCode, reason: impl std::fmt::Display) -> Answe
     let mut answer = value(&json!({ "error": reason.to_string() }));
     *answer.status_mut() = status;
     answer
+}
+
+/// Why a request is refused.
+#[derive(Debug)]
+pub(super) struct Refusal {
+    status: StatusCode,
+    reason: String,
+}
+
+impl Refusal {
+    pub(super) fn new(status: StatusCode, reason: impl std::fmt::Display) -> Self {
+        Self { status, reason: reason.to_string() }
+    }
+
+    pub(super) fn answer(self) -> Answer {
+        let mut answer = error(self.status, self.reason);
+        if self.status == StatusCode::UNAUTHORIZED {
+            answer.headers_mut().insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+        }
+        answer
+    }
 }
 
 pub(super) fn not_found(what: impl std::fmt::Display) -> Answer {

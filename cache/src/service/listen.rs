@@ -49,7 +49,7 @@ impl Default for Limits {
 }
 
 /// Bytes of a header, and of what is buffered of a connection.
-const HEADER_BYTES: usize = 32 << 10;
+const HEADER_BYTES: u32 = 32 << 10;
 /// Headers of a request.
 const HEADERS: usize = 64;
 /// Requests at a time on one connection of HTTP/2.
@@ -157,7 +157,7 @@ where
             http2::Builder::new(TokioExecutor::new())
                 .timer(TokioTimer::new())
                 .max_concurrent_streams(STREAMS)
-                .max_header_list_size(HEADER_BYTES as u32)
+                .max_header_list_size(HEADER_BYTES)
                 .keep_alive_interval(Some(limits.header))
                 .keep_alive_timeout(limits.stalled)
                 .serve_connection(io, service)
@@ -167,7 +167,7 @@ where
             http1::Builder::new()
                 .timer(TokioTimer::new())
                 .header_read_timeout(limits.header)
-                .max_buf_size(HEADER_BYTES)
+                .max_buf_size(HEADER_BYTES as usize)
                 .max_headers(HEADERS)
                 .serve_connection(io, service)
         )
