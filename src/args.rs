@@ -22,11 +22,13 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Ingest(crate::ingest::Args),
+    Insert(crate::insert::Args),
     Info(crate::info::Args),
     Page(crate::page::Args),
     Height(crate::height::Args),
     Verify(crate::verify::Args),
     Remove(crate::remove::Args),
+    Serve(crate::serve::Args),
     Bench(crate::bench::Args),
     #[cfg(feature = "viewer")]
     Snapshot(crate::snapshot::Args),
@@ -38,11 +40,13 @@ impl Cli {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
         match self.command {
             Command::Ingest(args) => args.run(),
+            Command::Insert(args) => args.run(),
             Command::Info(args) => args.run(),
             Command::Page(args) => args.run(),
             Command::Height(args) => args.run(),
             Command::Verify(args) => args.run(),
             Command::Remove(args) => args.run(),
+            Command::Serve(args) => args.run(),
             Command::Bench(args) => args.run(),
             #[cfg(feature = "viewer")]
             Command::Snapshot(args) => args.run(),

@@ -3,11 +3,8 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use areoid_formats::archive::Archive;
-use areoid_formats::catalog::{Catalog, CatalogError, DatasetRecord};
-use areoid_formats::grid::Grid;
-use areoid_formats::projection::Projection;
-use areoid_formats::pyramid::PoleContact;
+use areoid_cache::describe;
+use areoid_formats::catalog::Catalog;
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
@@ -40,19 +37,14 @@ impl Args {
             .zip(&archives)
             .filter(|(record, _)| self.dataset.as_ref().is_none_or(|name| record.answers_to(name)))
             .map(|(record, archive)| match archive {
-                Ok(archive) => dataset(record, archive),
-                Err(error) => Ok(unreadable(record, error)),
+                Ok(archive) => Ok(describe::dataset(record, archive)?),
+                Err(error) => Ok(describe::unreadable(record, &error.to_string())),
             })
             .collect::<Result<_, Failure>>()?;
         let whole = chosen.iter().all(|dataset| dataset.get("error").is_none());
         if self.json {
-            let body = catalog.body();
             output::json(&json!({
-                "body": {
-                    "name": body.name,
-                    "a_m": body.ellipsoid.a().0,
-                    "b_m": body.ellipsoid.b().0,
-                },
+                "body": describe::body(catalog.body()),
                 "generation": catalog.generation(),
                 "datasets": chosen,
             }))?;
@@ -61,81 +53,6 @@ impl Args {
         }
         Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
-}
-
-/// What the manifest alone says of a dataset.
-fn unreadable(record: &DatasetRecord, error: &CatalogError) -> Value {
-    json!({
-        "name": record.name,
-        "group": record.group,
-        "kind": record.kind.name(),
-        "priority": record.priority,
-        "bytes": record.bytes,
-        "error": error.to_string(),
-    })
-}
-
-fn dataset(record: &DatasetRecord, archive: &Archive) -> Result<Value, Failure> {
-    let description = archive.description();
-    let (grid, pyramid) = (&description.grid, description.grid.pyramid());
-    let summary = archive.summary();
-    let levels: Vec<Value> = pyramid
-        .levels()
-        .filter_map(|level| Some((level, pyramid.size(level)?)))
-        .map(|(level, size)| {
-            let known = summary.and_then(|summary| summary.levels.get(usize::from(level.0)));
-            json!({
-                "level": level.0,
-                "width": size.width,
-                "height": size.height,
-                "pages": known.map(|known| known.pages),
-                "constant": known.map(|known| known.constant),
-                "bytes": known.map(|known| known.bytes),
-                "bound_max": known.map(|known| known.bound_max),
-            })
-        })
-        .collect();
-    Ok(json!({
-        "name": record.name,
-        "group": record.group,
-        "kind": record.kind.name(),
-        "priority": record.priority,
-        "grid": self::grid(grid),
-        "page_size": pyramid.page_side(),
-        "border": areoid_formats::pyramid::Pyramid::BORDER,
-        "step": description.quantum.step,
-        "mip": description.mip.name(),
-        "levels": levels,
-        "pages": archive.page_count()?,
-        "bytes": record.bytes,
-        "source": record.source,
-    }))
-}
-
-/// A grid as `info` and `ingest` tell of it.
-pub(crate) fn grid(grid: &Grid) -> Value {
-    let extent = grid.pyramid().extent();
-    let poles = match (extent.north != PoleContact::None, extent.south != PoleContact::None) {
-        (true, true) => "both",
-        (true, false) => "north",
-        (false, true) => "south",
-        (false, false) => "none",
-    };
-    json!({
-        "projection": match grid.crs().projection {
-            Projection::PolarStereographic(_) => "polar_stereographic",
-            Projection::Equirectangular(_) => "equirectangular",
-            Projection::Geographic => "geographic",
-        },
-        "crs": grid.crs().proj_string(),
-        "origin": grid.origin(),
-        "pixel_size": grid.pixel_size(),
-        "width": extent.width,
-        "height": extent.height,
-        "wraps": extent.wraps,
-        "reaches_pole": poles != "none",
-        "poles": poles,
-    })
 }
 
 fn text(catalog: &Catalog, datasets: &[Value]) -> Result<(), Failure> {

@@ -31,7 +31,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::progress::{Bar, Screen};
 use crate::resources::PeakMemory;
-use crate::{info, output, resources};
+use crate::{output, resources};
 
 /// Turn rasters into a dataset of a catalog.
 ///
@@ -40,13 +40,33 @@ use crate::{info, output, resources};
 /// has data.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Rasters: `GeoTIFF` or `BigTIFF`; JPEG or PNG with a world file.
-    #[arg(required = true, value_name = "RASTER")]
-    rasters: Vec<PathBuf>,
+    #[command(flatten)]
+    options: IngestOptions,
 
     /// The catalog, a folder; it is made if it is not there.
     #[arg(long, value_name = "DIR")]
     catalog: PathBuf,
+
+    /// How often to note where the work stands: about as much as --resume has to do again.
+    #[arg(long, allow_hyphen_values = true, value_name = "SECONDS", default_value_t = 15.0, value_parser = seconds)]
+    note_every_s: f64,
+
+    /// Go on with an unfinished build of the same input and options. Without it such a build is
+    /// discarded.
+    #[arg(long)]
+    resume: bool,
+
+    /// Print a summary as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What to ingest, and how: the same for a catalog and for a server.
+#[derive(Debug, clap::Args)]
+pub(crate) struct IngestOptions {
+    /// Rasters: `GeoTIFF` or `BigTIFF`; JPEG or PNG with a world file.
+    #[arg(required = true, value_name = "RASTER")]
+    rasters: Vec<PathBuf>,
 
     /// The dataset's name [default: the stem of the first raster, with .normal behind it for normals].
     #[arg(long)]
@@ -128,15 +148,6 @@ pub(crate) struct Args {
     #[arg(long, value_name = "MIB", default_value_t = 2048)]
     memory_mib: u64,
 
-    /// How often to note where the work stands: about as much as --resume has to do again.
-    #[arg(long, allow_hyphen_values = true, value_name = "SECONDS", default_value_t = 15.0, value_parser = seconds)]
-    note_every_s: f64,
-
-    /// Go on with an unfinished build of the same input and options. Without it such a build is
-    /// discarded.
-    #[arg(long)]
-    resume: bool,
-
     /// Threads [default: one a core].
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -144,10 +155,6 @@ pub(crate) struct Args {
     /// Replace a dataset of this name that was made from something else.
     #[arg(long)]
     force: bool,
-
-    /// Print a summary as JSON.
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -206,14 +213,7 @@ impl KernelArg {
 
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
-        if self.grid == GridArg::Split && self.pixel_size_m.is_some() {
-            let reason = "--grid split keeps the raster's own pixels: leave out --pixel-size-m";
-            return Err(Failure::Misused(reason.to_owned()));
-        }
-        let own_grid = self.grid == GridArg::Native && self.pixel_size_m.is_none();
-        if self.kernel.is_some() && own_grid {
-            output::say("warning: --kernel has no effect on the raster's own grid");
-        }
+        self.options.check()?;
         let as_json = self.json;
         let request = self.request();
         let peak = PeakMemory::watch();
@@ -247,8 +247,32 @@ impl Args {
 
     fn request(self) -> Request {
         Request {
+            unfinished: if self.resume { Unfinished::Resume } else { Unfinished::Discard },
+            note_every: Duration::from_secs_f64(self.note_every_s),
+            ..self.options.request(self.catalog)
+        }
+    }
+}
+
+impl IngestOptions {
+    /// Refuses what makes no sense, and warns of what has no effect.
+    pub(crate) fn check(&self) -> Result<(), Failure> {
+        if self.grid == GridArg::Split && self.pixel_size_m.is_some() {
+            let reason = "--grid split keeps the raster's own pixels: leave out --pixel-size-m";
+            return Err(Failure::Misused(reason.to_owned()));
+        }
+        let own_grid = self.grid == GridArg::Native && self.pixel_size_m.is_none();
+        if self.kernel.is_some() && own_grid {
+            output::say("warning: --kernel has no effect on the raster's own grid");
+        }
+        Ok(())
+    }
+
+    /// The ingest into `catalog`, which discards what is unfinished.
+    pub(crate) fn request(self, catalog: PathBuf) -> Request {
+        Request {
             rasters: self.rasters,
-            catalog: self.catalog,
+            catalog,
             name: self.name,
             kind: self.kind.map(|kind| match kind {
                 KindArg::Height => Kind::Height,
@@ -274,9 +298,9 @@ impl Args {
             priority: self.priority,
             threads: self.threads.map(usize::from),
             existing: if self.force { Existing::Replace } else { Existing::Keep },
-            unfinished: if self.resume { Unfinished::Resume } else { Unfinished::Discard },
+            unfinished: Unfinished::Discard,
             memory_bytes: self.memory_mib.saturating_mul(1 << 20),
-            note_every: Duration::from_secs_f64(self.note_every_s),
+            note_every: Duration::from_secs(15),
             reading: Reading {
                 crs: self.crs,
                 extent: self.extent,
@@ -392,7 +416,7 @@ fn summary(outcome: &Outcome, peak: u64) -> serde_json::Value {
     let parts = outcome.parts.iter().map(|part| {
         json!({
             "name": part.name,
-            "grid": info::grid(&part.grid),
+            "grid": areoid_cache::describe::grid(&part.grid),
             "pages": pages(part),
             "bytes": part.bytes,
         })

@@ -6,6 +6,7 @@ mod failure;
 mod height;
 mod info;
 mod ingest;
+mod insert;
 mod interrupt;
 mod npy;
 mod output;
@@ -13,6 +14,7 @@ mod page;
 mod progress;
 mod remove;
 mod resources;
+mod serve;
 #[cfg(feature = "viewer")]
 mod snapshot;
 mod verify;

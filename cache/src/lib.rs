@@ -47,6 +47,16 @@ mod follow;
 
 mod cache;
 
+pub mod describe;
+
+pub mod insertion;
+
+pub mod insertion_request;
+
+pub mod service;
+
+pub mod remote;
+
 pub use cache::{Cache, Opening, Options, Progress};
 pub use height::Height;
 pub use open::CacheError;

@@ -29,7 +29,7 @@ type PagesRead = HashMap<PageAddress, Option<Arc<(PageEntry, Page)>>>;
 /// Answers queries on the height datasets among some archives.
 #[derive(Debug)]
 pub struct HeightQuery<'a> {
-    archives: &'a [Archive],
+    archives: Vec<&'a Archive>,
     level: Option<Level>,
     pages: Vec<PagesRead>,
 }
@@ -39,8 +39,10 @@ impl<'a> HeightQuery<'a> {
     ///
     /// A dataset with fewer levels answers at its finest.
     #[must_use]
-    pub fn new(archives: &'a [Archive], level: Option<Level>) -> Self {
-        Self { archives, level, pages: vec![HashMap::new(); archives.len()] }
+    pub fn new(archives: impl IntoIterator<Item = &'a Archive>, level: Option<Level>) -> Self {
+        let archives: Vec<_> = archives.into_iter().collect();
+        let pages = vec![HashMap::new(); archives.len()];
+        Self { archives, level, pages }
     }
 
     /// The composed height at a position, or `None` where no dataset has one.
@@ -102,7 +104,7 @@ impl<'a> HeightQuery<'a> {
         if let Some(held) = self.pages[place].get(&page) {
             return Ok(held.clone());
         }
-        let archive = &self.archives[place];
+        let archive = self.archives[place];
         let read = match archive.find(page)? {
             Some(entry) => Some(Arc::new((entry, archive.page(&entry)?))),
             None => None,

@@ -341,7 +341,9 @@ impl Archive {
         super::audit::damage(self)
     }
 
-    pub(super) fn source(&self) -> &dyn ByteSource {
+    /// The bytes of the archive, as they are: nothing read of them is proven.
+    #[must_use]
+    pub fn source(&self) -> &dyn ByteSource {
         self.source.as_ref()
     }
 

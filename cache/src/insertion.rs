@@ -1,0 +1,220 @@
+//! Ingests behind what is served or drawn: on a thread of its own that gives way to all others.
+//!
+//! A dataset that is kept goes into the catalog. One that is temporary goes into a catalog of its own in a
+//! folder `temporary-…` of it, which is taken away as soon as its archives are open: nothing is left to be
+//! found, however the process ends. A process killed before that leaves the folder, and the next
+//! [`sweep_temporary`] takes it away: its owner's lock on it is gone with the owner.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::thread;
+
+use areoid_formats::archive::Archive;
+use areoid_formats::body::Body;
+use areoid_formats::catalog::{Build, Catalog, CatalogError, DatasetRecord, RealDisk};
+use areoid_preprocess::build::Proceed;
+use areoid_preprocess::ingest::{Event, IngestError, Outcome, Request, Unfinished, ingest};
+
+/// How long an inserted dataset lives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lifetime {
+    /// In the catalog, until it is removed.
+    Kept,
+    /// Until the process ends: no file is left.
+    Temporary,
+}
+
+/// A dataset, or the parts of a group, that were inserted.
+#[derive(Debug)]
+pub struct Inserted {
+    /// What the ingest did.
+    pub outcome: Outcome,
+    /// What is in no catalog: the archives of temporary datasets. They are gone when these are.
+    pub temporary: Vec<(DatasetRecord, Archive)>,
+}
+
+/// An insertion that failed and left no trace.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum InsertError {
+    /// The ingest.
+    #[error(transparent)]
+    Ingest(#[from] IngestError),
+    /// What was made cannot be opened.
+    #[error(transparent)]
+    Catalog(#[from] CatalogError),
+    /// A temporary dataset of another body than the catalog's.
+    #[error("the catalog shows {catalog}, the raster {raster}")]
+    OtherBody {
+        /// The catalog's body.
+        catalog: String,
+        /// The rasters' body.
+        raster: String,
+    },
+    /// A temporary dataset of a name that the catalog has.
+    #[error("the catalog has a dataset called {name}: a temporary one cannot stand in its place")]
+    Taken {
+        /// The name.
+        name: String,
+    },
+    /// No place for a temporary dataset.
+    #[error("cannot make a place for a temporary dataset in {}", folder.display())]
+    Place {
+        /// The catalog's folder.
+        folder: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The system gave no thread, or the one it gave panicked.
+    #[error("the thread of the insertion failed")]
+    Thread(#[source] io::Error),
+}
+
+/// How little of the processor an insertion asks for while others want it.
+const NICE: i32 = 19;
+
+const TEMPORARY: &str = "temporary-";
+const LOCK: &str = "owner.lock";
+
+/// Ingests into the catalog that `request` names and `body` is of, and waits; `watch` hears of it on the
+/// insertion's thread and may stop it.
+///
+/// The dataset is in the catalog then, or in what is returned: to show it is the caller's step.
+///
+/// # Errors
+///
+/// Any [`InsertError`]; the catalog is as it was, and nothing of the build is left.
+pub fn insert(
+    request: Request,
+    lifetime: Lifetime,
+    body: &Body,
+    watch: impl FnMut(Event) -> Proceed + Send,
+) -> Result<Inserted, InsertError> {
+    thread::scope(|scope| {
+        let work = thread::Builder::new().name("areoid-insert".to_owned());
+        let work = work.spawn_scoped(scope, move || {
+            give_way();
+            match lifetime {
+                Lifetime::Kept => keep(request, watch),
+                Lifetime::Temporary => make_temporary(request, body, watch),
+            }
+        });
+        let panicked = |_| InsertError::Thread(io::Error::other("it panicked"));
+        work.map_err(InsertError::Thread)?.join().map_err(panicked)?
+    })
+}
+
+/// Lowers this thread's priority, and so that of the threads it will start. Linux counts it by thread.
+#[cfg(target_os = "linux")]
+fn give_way() {
+    // Being as urgent as others is no failure.
+    let _ = rustix::process::nice(NICE);
+}
+
+#[cfg(not(target_os = "linux"))]
+fn give_way() {}
+
+fn keep(
+    request: Request,
+    watch: impl FnMut(Event) -> Proceed + Send,
+) -> Result<Inserted, InsertError> {
+    let request = Request { unfinished: Unfinished::Discard, ..request };
+    match ingest(&RealDisk, &request, watch) {
+        Ok(outcome) => Ok(Inserted { outcome, temporary: Vec::new() }),
+        Err(error) => {
+            if error.can_be_resumed() {
+                discard(&request);
+            }
+            Err(error.into())
+        }
+    }
+}
+
+/// Takes away the build that a failed ingest has kept, or those of its parts.
+fn discard(request: &Request) {
+    let stem = || Some(request.rasters.first()?.file_stem()?.to_string_lossy().into_owned());
+    let Some(name) = request.name.clone().or_else(stem) else { return };
+    for part in ["", ".normal", ".band", ".north", ".south"] {
+        // If it stays, the next build of that name discards it.
+        let _ = Build::resume(&RealDisk, &request.catalog, &format!("{name}{part}"))
+            .and_then(Build::discard);
+    }
+}
+
+fn make_temporary(
+    request: Request,
+    body: &Body,
+    watch: impl FnMut(Event) -> Proceed + Send,
+) -> Result<Inserted, InsertError> {
+    let place = Place::new(&request.catalog)?;
+    let main = Catalog::open(&request.catalog)?;
+    let request = Request { catalog: place.catalog(), unfinished: Unfinished::Discard, ..request };
+    let outcome = ingest(&RealDisk, &request, watch)?;
+    let (catalog, archives) = Catalog::open_with_archives(&request.catalog)?;
+    if catalog.body() != body {
+        let (catalog, raster) = (body.name.clone(), catalog.body().name.clone());
+        return Err(InsertError::OtherBody { catalog, raster });
+    }
+    let records = catalog.datasets();
+    let taken = |record: &&DatasetRecord| {
+        main.named(&record.name).is_ok() || main.named(record.called()).is_ok()
+    };
+    if let Some(record) = records.iter().find(taken) {
+        return Err(InsertError::Taken { name: record.called().to_owned() });
+    }
+    let temporary = records.iter().cloned().zip(archives).collect();
+    Ok(Inserted { outcome, temporary })
+}
+
+/// A folder for a temporary catalog, gone when it is dropped.
+struct Place {
+    folder: PathBuf,
+    _owner: File,
+}
+
+impl Place {
+    fn new(catalog: &Path) -> Result<Self, InsertError> {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        let make = || {
+            let number = NEXT.fetch_add(1, Relaxed);
+            let folder = catalog.join(format!("{TEMPORARY}{}-{number}", std::process::id()));
+            fs::create_dir(&folder)?;
+            let owner = File::create(folder.join(LOCK))?;
+            owner.lock()?;
+            Ok(Self { folder, _owner: owner })
+        };
+        make().map_err(|source| InsertError::Place { folder: catalog.to_owned(), source })
+    }
+
+    fn catalog(&self) -> PathBuf {
+        self.folder.join("catalog")
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        // If it stays, the next start sweeps it.
+        let _ = fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// Takes away what killed processes left of temporary datasets in the catalog at `folder`.
+pub fn sweep_temporary(folder: &Path) {
+    let Ok(listing) = fs::read_dir(folder) else { return };
+    for entry in listing.flatten() {
+        let is_ours = entry.file_name().to_str().is_some_and(|name| name.starts_with(TEMPORARY));
+        if !is_ours {
+            continue;
+        }
+        // Without a lock to hold, its owner was killed before it could; or is about to make one: then
+        // the insertion fails, and can be asked for again.
+        let owner = File::open(entry.path().join(LOCK));
+        if owner.is_ok_and(|owner| owner.try_lock().is_err()) {
+            continue;
+        }
+        // If it stays, the next start sweeps it.
+        let _ = fs::remove_dir_all(entry.path());
+    }
+}

@@ -1,0 +1,183 @@
+//! Archives as files: ranges of their bytes, in pieces. What is read here is not proven: whoever reads
+//! it has the checksums.
+
+use std::io;
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
+
+use bytes::Bytes;
+use hyper::header::{
+    ACCEPT_RANGES, CONTENT_RANGE, CONTENT_TYPE, HeaderMap, HeaderValue, IF_RANGE, RANGE,
+};
+use hyper::{Method, Response, StatusCode};
+use tokio::sync::mpsc;
+use tokio::task::spawn_blocking;
+
+use super::answer::{self, Answer, Content, IMMUTABLE, is_known, tag, tagged};
+use super::hub::Hub;
+use super::snapshot::Served;
+
+/// Bytes read at a time; a slow client holds three of them.
+const PIECE_BYTES: u64 = 256 << 10;
+
+/// `/v1/archives/{file}`
+pub(super) async fn archive(
+    hub: &Arc<Hub>,
+    file: &str,
+    method: &Method,
+    asked: &HeaderMap,
+) -> Answer {
+    let now = hub.now();
+    // A file is called by its dataset's name, and by its content.
+    let served = file.rsplit_once('-').and_then(|(name, _)| now.datasets.get(name));
+    let Some(served) = served.filter(|served| served.record.file == file) else {
+        return answer::not_found(format_args!("there is no {file} (any more)"));
+    };
+    let length = match &served.archive {
+        Ok(archive) => archive.len(),
+        Err(reason) => return answer::error(StatusCode::INTERNAL_SERVER_ERROR, reason),
+    };
+    let tag = tag(&served.record.content);
+    let wanted = match wanted(asked, &tag, length) {
+        Ok(wanted) => wanted,
+        Err(Unsatisfiable) => {
+            let mut answer = answer::error(StatusCode::RANGE_NOT_SATISFIABLE, "no such range");
+            let range = HeaderValue::try_from(format!("bytes */{length}"));
+            answer.headers_mut().extend(range.ok().map(|range| (CONTENT_RANGE, range)));
+            return answer;
+        }
+    };
+    let range = wanted.clone().unwrap_or(0..length);
+    let content = if method == Method::HEAD || is_known(asked, &tag) {
+        Content::pieces(mpsc::channel(1).1, Some(range.end - range.start))
+    } else {
+        match first(served, range.clone()).await {
+            Ok(piece) => rest(hub, served, range.clone(), piece),
+            Err(error) => {
+                hub.metrics.damaged.fetch_add(1, Relaxed);
+                let reason = format!("cannot read {file}: {error}");
+                return answer::error(StatusCode::INTERNAL_SERVER_ERROR, reason);
+            }
+        }
+    };
+    let mut answer = Response::new(content);
+    let headers = answer.headers_mut();
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
+    headers.insert(ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+    if let Some(Range { start, end }) = wanted {
+        let range = HeaderValue::try_from(format!("bytes {start}-{}/{length}", end - 1));
+        headers.extend(range.ok().map(|range| (CONTENT_RANGE, range)));
+        *answer.status_mut() = StatusCode::PARTIAL_CONTENT;
+    }
+    tagged(answer, asked, &tag, IMMUTABLE)
+}
+
+/// A range that the file has no byte of.
+#[derive(Debug, PartialEq)]
+struct Unsatisfiable;
+
+/// The one range asked for, if it is one. Several, or what is no range of bytes, mean the whole.
+fn wanted(
+    asked: &HeaderMap,
+    tag: &HeaderValue,
+    length: u64,
+) -> Result<Option<Range<u64>>, Unsatisfiable> {
+    if asked.get(IF_RANGE).is_some_and(|range| range != tag) {
+        return Ok(None);
+    }
+    let range = asked.get(RANGE).and_then(|range| range.to_str().ok());
+    range.map_or(Ok(None), |range| parse(range, length))
+}
+
+fn parse(range: &str, length: u64) -> Result<Option<Range<u64>>, Unsatisfiable> {
+    let ends = range.strip_prefix("bytes=").and_then(|range| range.split_once('-'));
+    let Some((first, last)) = ends.map(|(first, last)| (first.trim(), last.trim())) else {
+        return Ok(None);
+    };
+    let is_number = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    if !(is_number(first) && is_number(last)) {
+        return Ok(None);
+    }
+    // More digits than a length has are more than any file has.
+    let number = |text: &str| text.parse::<u64>().unwrap_or(u64::MAX);
+    let range = match (first, last) {
+        ("", "") => return Ok(None),
+        ("", count) => length.saturating_sub(number(count))..length,
+        (first, "") => number(first)..length,
+        (first, last) if number(last) < number(first) => return Ok(None),
+        (first, last) => number(first)..number(last).saturating_add(1).min(length),
+    };
+    if range.is_empty() { Err(Unsatisfiable) } else { Ok(Some(range)) }
+}
+
+fn piece(served: &Served, range: &Range<u64>) -> io::Result<Bytes> {
+    let archive = served.archive.as_ref().map_err(|reason| io::Error::other(reason.clone()))?;
+    let length =
+        usize::try_from((range.end - range.start).min(PIECE_BYTES)).map_err(io::Error::other)?;
+    let mut piece = vec![0; length];
+    archive.source().read_exact_at(&mut piece, range.start)?;
+    Ok(piece.into())
+}
+
+/// The first piece, so that a file that cannot be read is an error and not half an answer.
+async fn first(served: &Arc<Served>, range: Range<u64>) -> io::Result<Bytes> {
+    let served = Arc::clone(served);
+    spawn_blocking(move || piece(&served, &range)).await.map_err(io::Error::other)?
+}
+
+/// The first piece and those behind it, each read when the one before last has been sent.
+fn rest(hub: &Arc<Hub>, served: &Arc<Served>, range: Range<u64>, first: Bytes) -> Content {
+    let length = range.end - range.start;
+    hub.metrics.bytes.fetch_add(length, Relaxed);
+    if first.len() as u64 == length {
+        return Content::whole(first);
+    }
+    let (sender, pieces) = mpsc::channel(1);
+    let served = Arc::clone(served);
+    tokio::spawn(async move {
+        let mut start = range.start + first.len() as u64;
+        let mut next = Ok(first);
+        loop {
+            let failed = next.is_err();
+            // Whoever asked may have gone.
+            if sender.send(next).await.is_err() || failed || start >= range.end {
+                return;
+            }
+            let (served, left) = (Arc::clone(&served), start..range.end);
+            let read = spawn_blocking(move || piece(&served, &left)).await;
+            next = read.map_err(io::Error::other).flatten();
+            start += next.as_ref().map_or(0, |piece| piece.len() as u64);
+        }
+    });
+    Content::pieces(pieces, Some(length))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_range_is_heeded_and_all_else_means_the_whole() {
+        for (text, found) in [
+            ("bytes=0-0", Ok(Some(0..1))),
+            ("bytes=2-", Ok(Some(2..10))),
+            ("bytes=2-99", Ok(Some(2..10))),
+            ("bytes=-3", Ok(Some(7..10))),
+            ("bytes=-99", Ok(Some(0..10))),
+            ("bytes=9-9", Ok(Some(9..10))),
+            ("bytes=10-", Err(Unsatisfiable)),
+            ("bytes=-0", Err(Unsatisfiable)),
+            ("bytes=99999999999999999999999-", Err(Unsatisfiable)),
+            ("bytes=3-2", Ok(None)),
+            ("bytes=0-1,4-5", Ok(None)),
+            ("bytes=-", Ok(None)),
+            ("bytes=+1-2", Ok(None)),
+            ("lines=0-1", Ok(None)),
+            ("", Ok(None)),
+        ] {
+            assert_eq!(parse(text, 10), found, "{text}");
+        }
+        assert_eq!(parse("bytes=0-", 0), Err(Unsatisfiable));
+    }
+}

@@ -1,0 +1,179 @@
+//! What all connections share: the snapshot, pages in memory, events, counters.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+
+use areoid_formats::address::PageAddress;
+use areoid_formats::catalog::{Catalog, CatalogError};
+use quick_cache::Weighter;
+use quick_cache::sync::Cache;
+use serde_json::json;
+use tokio::sync::{Semaphore, broadcast, watch};
+use tracing::debug;
+
+use super::metrics::{Gauges, Metrics};
+use super::pages::StoredPage;
+use super::snapshot::{Served, Snapshot};
+
+/// Which page of what is served.
+pub(super) type PageKey = (u64, PageAddress);
+
+/// The bytes that a stored page takes.
+#[derive(Clone, Debug)]
+pub(super) struct PageBytes;
+
+impl Weighter<PageKey, Arc<StoredPage>> for PageBytes {
+    fn weight(&self, _: &PageKey, page: &Arc<StoredPage>) -> u64 {
+        page.weight()
+    }
+}
+
+/// Events that a client may be behind before it is told to ask for the catalog again.
+const EVENTS: usize = 256;
+
+/// The service's state.
+///
+/// # Threads
+///
+/// Any thread may call anything. [`Self::refresh`] and [`Self::add`] wait for a disk.
+#[derive(Debug)]
+pub(super) struct Hub {
+    folder: PathBuf,
+    now: RwLock<Arc<Snapshot>>,
+    /// Held by the one thread that makes the next snapshot.
+    changing: Mutex<()>,
+    pub(super) pages: Cache<PageKey, Arc<StoredPage>, PageBytes>,
+    pub(super) events: broadcast::Sender<Arc<str>>,
+    pub(super) stopping: watch::Sender<bool>,
+    pub(super) metrics: Metrics,
+    pub(super) in_flight: Arc<Semaphore>,
+    most_in_flight: usize,
+    event: AtomicU64,
+}
+
+impl Hub {
+    pub(super) fn open(
+        folder: &Path,
+        memory_bytes: u64,
+        most_in_flight: usize,
+    ) -> Result<Self, CatalogError> {
+        let now = RwLock::new(Arc::new(Snapshot::newest(folder, None)?));
+        let pages = usize::try_from(memory_bytes / (128 << 10)).unwrap_or(usize::MAX);
+        Ok(Self {
+            folder: folder.to_owned(),
+            now,
+            changing: Mutex::new(()),
+            pages: Cache::with_weighter(pages.clamp(16, 1 << 20), memory_bytes, PageBytes),
+            events: broadcast::Sender::new(EVENTS),
+            stopping: watch::Sender::new(false),
+            metrics: Metrics::default(),
+            in_flight: Arc::new(Semaphore::new(most_in_flight)),
+            most_in_flight,
+            event: AtomicU64::new(0),
+        })
+    }
+
+    pub(super) fn now(&self) -> Arc<Snapshot> {
+        Arc::clone(&self.now.read().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub(super) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    pub(super) fn is_stopping(&self) -> bool {
+        *self.stopping.borrow()
+    }
+
+    /// Shows the newest generation, if it is newer than what is shown.
+    pub(super) fn refresh(&self) -> Result<(), CatalogError> {
+        let shown = self.now().generation;
+        if Catalog::newest_generation(&self.folder)?.is_none_or(|newest| newest <= shown) {
+            return Ok(());
+        }
+        let _changing = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = self.now();
+        let next = Snapshot::newest(&self.folder, Some(&before))?;
+        if next.generation > before.generation {
+            self.show(&before, next);
+        }
+        Ok(())
+    }
+
+    /// Shows what is not in the catalog, too, in the place of those of its names.
+    pub(super) fn add(&self, added: Vec<Arc<Served>>) {
+        self.change_temporary(|datasets| {
+            datasets.extend(added.into_iter().map(|served| (served.record.name.clone(), served)));
+            true
+        });
+    }
+
+    /// Takes away what is temporary and answers to `name`; whether there was any.
+    pub(super) fn take(&self, name: &str) -> bool {
+        self.change_temporary(|datasets| {
+            let all = datasets.len();
+            datasets.retain(|_, served| !(served.temporary && served.record.answers_to(name)));
+            datasets.len() < all
+        })
+    }
+
+    fn change_temporary(
+        &self,
+        change: impl FnOnce(&mut std::collections::BTreeMap<String, Arc<Served>>) -> bool,
+    ) -> bool {
+        let _changing = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = self.now();
+        let mut datasets = before.datasets.clone();
+        let changed = change(&mut datasets);
+        if changed {
+            self.show(&before, Snapshot::new(before.generation, before.body.clone(), datasets));
+        }
+        changed
+    }
+
+    /// The one step that counts, and word of it.
+    fn show(&self, before: &Snapshot, next: Snapshot) {
+        let next = Arc::new(next);
+        *self.now.write().unwrap_or_else(PoisonError::into_inner) = Arc::clone(&next);
+        debug!(generation = next.generation, datasets = next.datasets.len(), "catalog changed");
+        for (name, served) in &next.datasets {
+            match before.datasets.get(name) {
+                Some(had) if had.serial == served.serial => {}
+                Some(_) => self.tell("replaced", name, &next),
+                None => self.tell("inserted", name, &next),
+            }
+        }
+        for name in before.datasets.keys().filter(|name| !next.datasets.contains_key(*name)) {
+            self.tell("removed", name, &next);
+        }
+    }
+
+    fn tell(&self, event: &str, dataset: &str, next: &Snapshot) {
+        let id = self.event.fetch_add(1, Relaxed);
+        let data = json!({ "dataset": dataset, "generation": next.generation });
+        // Nobody may be listening.
+        let _ = self.events.send(format!("id: {id}\nevent: {event}\ndata: {data}\n\n").into());
+    }
+
+    pub(super) fn metrics_text(&self) -> String {
+        let now = self.now();
+        self.metrics.text(Gauges {
+            in_flight: self.most_in_flight - self.in_flight.available_permits(),
+            memory_bytes: self.pages.weight(),
+            budget_bytes: self.pages.capacity(),
+            generation: now.generation,
+            datasets: now.datasets.len(),
+        })
+    }
+}
+
+/// Waits until the service stops.
+///
+/// # Cancel safety
+///
+/// Nothing is lost.
+pub(super) async fn stopped(stopping: &mut watch::Receiver<bool>) {
+    // A hub that is gone has stopped.
+    let _ = stopping.wait_for(|stopping| *stopping).await;
+}

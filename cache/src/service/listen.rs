@@ -1,0 +1,192 @@
+//! Connections: how many, how long, HTTP/1.1 or h2c, and their end.
+
+use std::convert::Infallible;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
+use std::time::Duration;
+
+use hyper::Request;
+use hyper::body::Incoming;
+use hyper::server::conn::{http1, http2};
+use hyper::service::service_fn;
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use tokio::io::AsyncWriteExt as _;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::{sleep, timeout};
+use tracing::{debug, trace};
+
+use super::answer::Answer;
+use super::hub::{Hub, stopped};
+use super::stream::Patient;
+
+/// What a connection may take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Connections at a time; one more is told that there are too many.
+    pub connections: usize,
+    /// Requests at a time, each until its answer is sent.
+    pub requests: usize,
+    /// How long a request's header may take to come, idle time included.
+    pub header: Duration,
+    /// How long a client may take nothing of what is sent to it.
+    pub stalled: Duration,
+    /// How long requests in flight have when the service is asked to end.
+    pub drain: Duration,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            connections: 4096,
+            requests: 1024,
+            header: Duration::from_secs(30),
+            stalled: Duration::from_secs(30),
+            drain: Duration::from_secs(10),
+        }
+    }
+}
+
+/// Bytes of a header, and of what is buffered of a connection.
+const HEADER_BYTES: u32 = 32 << 10;
+/// Headers of a request.
+const HEADERS: usize = 64;
+/// Requests at a time on one connection of HTTP/2.
+const STREAMS: u32 = 64;
+/// How long to wait when the system has no descriptor left.
+const BREATH: Duration = Duration::from_millis(50);
+/// What a connection too many is told.
+const REFUSAL: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: 0\r\n\r\n";
+
+/// Takes connections until the service stops; they end by themselves. Each answers with `respond`.
+pub(super) async fn accept<F, R>(
+    listener: TcpListener,
+    hub: Arc<Hub>,
+    places: Arc<Semaphore>,
+    limits: Limits,
+    respond: F,
+) where
+    F: Fn(Request<Incoming>, SocketAddr) -> R + Clone + Send + Sync + 'static,
+    R: Future<Output = Answer> + Send + 'static,
+{
+    let mut stopping = hub.stopping.subscribe();
+    loop {
+        let accepted = tokio::select! {
+            biased;
+            () = stopped(&mut stopping) => return,
+            accepted = listener.accept() => accepted,
+        };
+        let (stream, peer) = match accepted {
+            Ok(accepted) => accepted,
+            Err(error) => {
+                // Without descriptors the next try fails as fast: those in use will be given back.
+                hub.metrics.accept_errors.fetch_add(1, Relaxed);
+                debug!(error = &error as &dyn std::error::Error, "connection not taken");
+                sleep(BREATH).await;
+                continue;
+            }
+        };
+        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
+            hub.metrics.refused.fetch_add(1, Relaxed);
+            refuse(stream);
+            continue;
+        };
+        let (hub, respond) = (Arc::clone(&hub), respond.clone());
+        tokio::spawn(async move {
+            hub.metrics.connections.fetch_add(1, Relaxed);
+            let ended =
+                connection(stream, &hub, limits, move |request| respond(request, peer), place);
+            if let Err(error) = ended.await {
+                trace!(%peer, error, "connection ended");
+            }
+            hub.metrics.connections.fetch_sub(1, Relaxed);
+        });
+    }
+}
+
+/// Says that there are too many, if the client takes it at once.
+fn refuse(stream: TcpStream) {
+    // A fresh connection has room for so little.
+    let _ = stream.try_write(REFUSAL);
+}
+
+async fn connection<F, R>(
+    mut stream: TcpStream,
+    hub: &Arc<Hub>,
+    limits: Limits,
+    respond: F,
+    _place: OwnedSemaphorePermit,
+) -> Result<(), String>
+where
+    F: Fn(Request<Incoming>) -> R + Clone + Send + 'static,
+    R: Future<Output = Answer> + Send + 'static,
+{
+    stream.set_nodelay(true).map_err(|error| error.to_string())?;
+    let mut stopping = hub.stopping.subscribe();
+    let spoken = tokio::select! {
+        spoken = timeout(limits.header, is_http2(&stream)) => spoken,
+        () = stopped(&mut stopping) => return Ok(()),
+    };
+    let Ok(Some(is_http2)) = spoken else {
+        // Nothing was asked.
+        let _ = stream.shutdown().await;
+        return Ok(());
+    };
+    let io = TokioIo::new(Patient::new(stream, limits.stalled));
+    let service = service_fn(move |request| {
+        let answer = respond(request);
+        async move { Ok::<_, Infallible>(answer.await) }
+    });
+    // Both kinds of connection, told to end when the service stops.
+    macro_rules! serve {
+        ($connection:expr) => {{
+            let mut connection = std::pin::pin!($connection);
+            let served = tokio::select! {
+                served = connection.as_mut() => served,
+                () = stopped(&mut stopping) => {
+                    connection.as_mut().graceful_shutdown();
+                    connection.await
+                }
+            };
+            served.map_err(|error| error.to_string())
+        }};
+    }
+    if is_http2 {
+        serve!(
+            http2::Builder::new(TokioExecutor::new())
+                .timer(TokioTimer::new())
+                .max_concurrent_streams(STREAMS)
+                .max_header_list_size(HEADER_BYTES)
+                .keep_alive_interval(Some(limits.header))
+                .keep_alive_timeout(limits.stalled)
+                .serve_connection(io, service)
+        )
+    } else {
+        serve!(
+            http1::Builder::new()
+                .timer(TokioTimer::new())
+                .header_read_timeout(limits.header)
+                .max_buf_size(HEADER_BYTES as usize)
+                .max_headers(HEADERS)
+                .serve_connection(io, service)
+        )
+    }
+}
+
+/// Whether the client speaks HTTP/2 from its first bytes on; `None` if it says nothing.
+async fn is_http2(stream: &TcpStream) -> Option<bool> {
+    const PREFACE: &[u8] = b"PRI ";
+    let mut first = [0; PREFACE.len()];
+    loop {
+        let count = stream.peek(&mut first).await.ok().filter(|&count| count > 0)?;
+        if first[..count] != PREFACE[..count] {
+            return Some(false);
+        }
+        if count == PREFACE.len() {
+            return Some(true);
+        }
+        // Half of a preface is there, and `peek` would not wait for the rest.
+        sleep(Duration::from_millis(5)).await;
+    }
+}

@@ -1,0 +1,40 @@
+//! A catalog over HTTP: read by anybody, changed by whoever has the token.
+//!
+//! ```text
+//!   public ──▶ connections ──▶ requests ──▶ snapshot ──▶ memory ──▶ Bytes
+//!                 (limits)      (limits)        │           └─ fault ─▶ blocking read, proven
+//!   admin  ──▶ token ──▶ insertion (nice 19) ──▶ next snapshot ──▶ events
+//! ```
+//!
+//! `cache/HTTP.md` documents what is asked and answered. A core has a runtime of one thread; all of them
+//! take connections from one listener. What may wait for a disk runs on threads that may.
+
+mod answer;
+
+mod snapshot;
+
+mod metrics;
+
+mod pages;
+
+mod hub;
+
+mod archives;
+
+mod public;
+
+mod stream;
+
+mod listen;
+
+mod options;
+
+mod admin;
+
+mod mutate;
+
+mod run;
+
+pub use listen::Limits;
+pub use options::{Admin, Options, ServiceError};
+pub use run::{Service, run};

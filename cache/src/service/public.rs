@@ -1,0 +1,163 @@
+//! What anybody may ask: the public listener's requests.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
+use std::time::Duration;
+
+use areoid_formats::archive::Archive;
+use areoid_formats::geodesy::Geographic;
+use areoid_formats::query::HeightQuery;
+use areoid_formats::units::Degrees;
+use bytes::Bytes;
+use hyper::body::Incoming;
+use hyper::header::{ALLOW, CACHE_CONTROL, HeaderValue};
+use hyper::{Method, Request, StatusCode};
+use serde_json::json;
+use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::mpsc;
+use tokio::task::spawn_blocking;
+use tokio::time::timeout;
+
+use super::answer::{self, Answer, Content, REVALIDATE, tag, tagged};
+use super::hub::{Hub, stopped};
+use super::{archives, pages};
+
+/// Answers a request, or says at once that there are too many.
+///
+/// # Cancel safety
+///
+/// Dropped when the client goes: reads under way come to their end and are forgotten.
+pub(super) async fn answer(hub: Arc<Hub>, request: Request<Incoming>) -> Answer {
+    hub.metrics.requests.fetch_add(1, Relaxed);
+    let Ok(permit) = Arc::clone(&hub.in_flight).try_acquire_owned() else {
+        hub.metrics.refused.fetch_add(1, Relaxed);
+        return answer::overloaded();
+    };
+    let is_head = request.method() == Method::HEAD;
+    let answer = if is_head || request.method() == Method::GET {
+        route(&hub, &request).await
+    } else {
+        let mut answer =
+            answer::error(StatusCode::METHOD_NOT_ALLOWED, "this listener is read-only");
+        answer.headers_mut().insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
+        answer
+    };
+    if answer.status().is_server_error() {
+        hub.metrics.failed.fetch_add(1, Relaxed);
+    }
+    let answer = if is_head { answer::head(answer) } else { answer };
+    // Streams of events last as long as their clients: connections are counted, too.
+    if request.uri().path() == EVENTS {
+        return answer;
+    }
+    answer.map(|content| content.holding(permit))
+}
+
+const EVENTS: &str = "/v1/events";
+
+async fn route(hub: &Arc<Hub>, request: &Request<Incoming>) -> Answer {
+    let (path, asked) = (request.uri().path(), request.headers());
+    let Some(path) = path.strip_prefix("/v1/") else { return answer::not_found("nothing is here") };
+    let mut parts = [""; 6];
+    let mut count = 0;
+    for part in path.split('/') {
+        let Some(place) = parts.get_mut(count) else { return answer::not_found("nothing is here") };
+        (*place, count) = (part, count + 1);
+    }
+    match &parts[..count] {
+        ["pages", page @ ..] if page.len() == 5 => {
+            pages::page(hub, [page[0], page[1], page[2], page[3], page[4]], asked).await
+        }
+        ["archives", file] => archives::archive(hub, file, request.method(), asked).await,
+        ["catalog"] => {
+            let now = hub.now();
+            let answer = answer::bytes("application/json", now.json.clone());
+            tagged(answer, asked, &now.tag, REVALIDATE)
+        }
+        ["datasets", name] => match hub.now().datasets.get(*name) {
+            Some(served) => {
+                let text = served.json.to_string();
+                let tag = tag(format_args!("{:016x}", xxhash_rust::xxh3::xxh3_64(text.as_bytes())));
+                tagged(answer::bytes("application/json", text), asked, &tag, REVALIDATE)
+            }
+            None => answer::not_found(format_args!("no dataset is called {name:?}")),
+        },
+        ["events"] if request.method() == Method::HEAD => {
+            answer::bytes("text/event-stream", Bytes::new())
+        }
+        ["events"] => events(hub),
+        ["height"] => height(hub, request.uri().query().unwrap_or_default()).await,
+        _ => answer::not_found("nothing is here"),
+    }
+}
+
+/// How often a silent stream of events says that it is alive.
+const HEART_BEAT: Duration = Duration::from_secs(15);
+
+/// `/v1/events`
+fn events(hub: &Arc<Hub>) -> Answer {
+    let (sender, pieces) = mpsc::channel(4);
+    let mut events = hub.events.subscribe();
+    let mut stopping = hub.stopping.subscribe();
+    let hello =
+        format!("event: hello\ndata: {}\n\n", json!({ "generation": hub.now().generation }));
+    tokio::spawn(async move {
+        let mut next = Bytes::from(hello);
+        loop {
+            if sender.send(Ok(next)).await.is_err() {
+                return;
+            }
+            next = tokio::select! {
+                () = stopped(&mut stopping) => return,
+                () = sender.closed() => return,
+                event = timeout(HEART_BEAT, events.recv()) => match event {
+                    Err(_) => Bytes::from_static(b": alive\n\n"),
+                    Ok(Ok(event)) => Bytes::copy_from_slice(event.as_bytes()),
+                    Ok(Err(RecvError::Lagged(_))) => Bytes::from_static(b"event: missed\ndata: {}\n\n"),
+                    Ok(Err(RecvError::Closed)) => return,
+                },
+            };
+        }
+    });
+    let mut answer = hyper::Response::new(Content::pieces(pieces, None));
+    let headers = answer.headers_mut();
+    headers.insert(hyper::header::CONTENT_TYPE, HeaderValue::from_static("text/event-stream"));
+    headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    answer
+}
+
+/// `/v1/height?lon=..&lat=..`
+async fn height(hub: &Arc<Hub>, query: &str) -> Answer {
+    let number = |name: &str| {
+        let value = query.split('&').find_map(|pair| pair.strip_prefix(name)?.strip_prefix('='));
+        value.and_then(|value| value.parse::<f64>().ok()).filter(|value| value.is_finite())
+    };
+    let (Some(lon), Some(lat)) = (number("lon"), number("lat")) else {
+        return answer::error(StatusCode::BAD_REQUEST, "expected ?lon=DEGREES&lat=DEGREES");
+    };
+    if !(-90.0..=90.0).contains(&lat) {
+        return answer::error(StatusCode::BAD_REQUEST, "latitudes are -90 to 90");
+    }
+    let now = hub.now();
+    let found = spawn_blocking(move || {
+        let position = Geographic::from_degrees(Degrees(lon % 360.0), Degrees(lat));
+        let served: Vec<_> =
+            now.datasets.values().filter(|served| served.archive.is_ok()).collect();
+        let archives = served.iter().filter_map(|served| served.archive.as_ref().ok());
+        let archives: Vec<&Archive> = archives.collect();
+        let found = HeightQuery::new(archives, None).height(position)?;
+        let name = |&place: &usize| served[place].record.name.clone();
+        Ok::<_, areoid_formats::archive::ArchiveError>(json!({
+            "lon": lon,
+            "lat": lat,
+            "height_m": found.as_ref().map(|found| found.height_m),
+            "bound_m": found.as_ref().map(|found| found.bound_m),
+            "datasets": found.iter().flat_map(|found| &found.datasets).map(name).collect::<Vec<_>>(),
+        }))
+    });
+    match found.await {
+        Ok(Ok(value)) => answer::value(&value),
+        Ok(Err(error)) => answer::error(StatusCode::INTERNAL_SERVER_ERROR, error),
+        Err(error) => answer::error(StatusCode::INTERNAL_SERVER_ERROR, error),
+    }
+}

@@ -1,0 +1,232 @@
+//! Damaged and missing files, clients that misbehave, too many of everything: others are served.
+
+use std::fs::{self, OpenOptions};
+use std::io::{Read as _, Write as _};
+use std::net::Shutdown;
+use std::os::unix::fs::FileExt as _;
+use std::time::{Duration, Instant};
+
+use areoid_formats::address::{Level, PageAddress};
+use areoid_formats::archive::Payload;
+use areoid_formats::catalog::Catalog;
+use proptest::prelude::*;
+
+use super::rig::{Answer, LONG, Serving, ask, connect, eventually, exchange};
+
+/// Where the stored pages of the subject lie, as their paths behind its own, and offsets.
+fn stored(serving: &Serving) -> Vec<(String, u64)> {
+    let (_, archives) = Catalog::open_with_archives(&serving.place.catalog()).unwrap();
+    let entries = archives[0].entries().unwrap();
+    let stored = entries.iter().filter_map(|entry| match entry.payload {
+        Payload::Record { offset, length, .. } => {
+            let PageAddress { level: Level(level), row, col } = entry.page;
+            Some((format!("{level}/{row}/{col}"), offset + 96 + u64::from(length / 2)))
+        }
+        Payload::Constant(_) => None,
+    });
+    stored.collect()
+}
+
+#[test]
+fn a_damaged_page_fails_and_no_other() {
+    let serving = Serving::new();
+    let (pages, _) = serving.subject();
+    let stored = stored(&serving);
+    let (victim, at) = &stored[stored.len() / 2];
+    let file = OpenOptions::new().write(true).read(true).open(serving.place.archive()).unwrap();
+    let mut byte = [0];
+    file.read_exact_at(&mut byte, *at).unwrap();
+    file.write_all_at(&[!byte[0]], *at).unwrap();
+    for (page, _) in &stored {
+        let answer = serving.get(&format!("{pages}/{page}"));
+        if page == victim {
+            assert_eq!(answer.status, 500);
+            assert!(answer.text().contains("checksum"), "{}", answer.text());
+        } else {
+            assert_eq!(answer.status, 200, "{page}");
+        }
+    }
+    // Nothing of it was kept: repaired, it is served.
+    file.write_all_at(&byte, *at).unwrap();
+    assert_eq!(serving.get(&format!("{pages}/{victim}")).status, 200);
+}
+
+#[test]
+fn an_archive_cut_under_the_service_is_an_error_and_no_signal() {
+    let serving = Serving::new();
+    let (pages, file) = serving.subject();
+    let stored = stored(&serving);
+    let (last, at) = stored.last().unwrap();
+    assert_eq!(serving.get(&format!("{pages}/{}", stored[0].0)).status, 200);
+    let archive = OpenOptions::new().write(true).open(serving.place.archive()).unwrap();
+    archive.set_len(*at).unwrap();
+    assert_eq!(serving.get(&format!("{pages}/{last}")).status, 500);
+    assert_eq!(serving.get(&format!("{pages}/{}", stored[0].0)).status, 200);
+    let beyond = format!("bytes={}-", at + 1);
+    assert_eq!(
+        ask(serving.address(), "GET", &format!("/v1/archives/{file}"), &[("range", &beyond)], "")
+            .status,
+        500
+    );
+    // Begun, it cannot become an error any more: it ends too early, which the client sees.
+    let whole = serving.get(&format!("/v1/archives/{file}"));
+    assert!(whole.body.len().to_string() != whole.header("content-length"));
+    assert_eq!(serving.get("/v1/catalog").status, 200);
+}
+
+#[test]
+fn a_deleted_archive_is_served_while_it_is_open() {
+    let serving = Serving::new();
+    let (pages, _) = serving.subject();
+    fs::remove_file(serving.place.archive()).unwrap();
+    assert_eq!(serving.get(&format!("{pages}/0/0/0")).status, 200);
+}
+
+#[test]
+fn a_header_that_comes_too_slowly_ends_the_connection() {
+    let serving = Serving::with(|options| options.limits.header = Duration::from_millis(300));
+    for begun in ["", "P", "G", "GET /v1/catalog HTTP/1.1\r\nhost: he"] {
+        let mut stream = connect(serving.address());
+        stream.write_all(begun.as_bytes()).unwrap();
+        let start = Instant::now();
+        let mut rest = Vec::new();
+        // It may be reset: what was sent was not read to its end.
+        let _ = stream.read_to_end(&mut rest);
+        assert!(start.elapsed() < LONG / 2, "{begun:?}");
+        assert!(!String::from_utf8_lossy(&rest).contains("200 OK"));
+    }
+    eventually("the connections are gone", || serving.metric("areoid_connections") < 2.0);
+}
+
+#[test]
+fn a_client_that_takes_nothing_is_given_up() {
+    let serving = Serving::with(|options| options.limits.stalled = Duration::from_millis(300));
+    let (_, file) = serving.subject();
+    let mut stream = connect(serving.address());
+    // More than any socket buffers.
+    for _ in 0..50 {
+        let _ = write!(stream, "GET /v1/archives/{file} HTTP/1.1\r\nhost: here\r\n\r\n");
+    }
+    eventually("it is given up", || serving.metric("areoid_connections") < 2.0);
+    assert_eq!(serving.get("/v1/catalog").status, 200);
+}
+
+#[test]
+fn a_thousand_idle_connections_keep_nobody_out() {
+    let serving = Serving::new();
+    let idle: Vec<_> = (0..1000).map(|_| connect(serving.address())).collect();
+    eventually("all are taken", || serving.metric("areoid_connections") >= 1000.0);
+    let (pages, _) = serving.subject();
+    assert_eq!(serving.get(&format!("{pages}/0/0/0")).status, 200);
+    drop(idle);
+    eventually("all are gone", || serving.metric("areoid_connections") < 10.0);
+}
+
+#[test]
+fn a_client_that_goes_in_the_middle_leaves_nothing() {
+    let serving = Serving::new();
+    let (pages, file) = serving.subject();
+    for path in [format!("{pages}/0/0/0"), format!("/v1/archives/{file}"), "/v1/events".to_owned()]
+    {
+        for _ in 0..20 {
+            let mut stream = connect(serving.address());
+            write!(stream, "GET {path} HTTP/1.1\r\nhost: here\r\n\r\n").unwrap();
+            stream.read_exact(&mut [0; 10]).unwrap();
+            stream.shutdown(Shutdown::Both).unwrap();
+        }
+    }
+    eventually("all are gone", || {
+        serving.metric("areoid_connections") < 2.0
+            && serving.metric("areoid_requests_in_flight") == 0.0
+    });
+}
+
+#[test]
+fn too_many_requests_and_connections_are_told_so_at_once() {
+    let serving =
+        Serving::with(|options| (options.limits.requests, options.limits.connections) = (1, 3));
+    let (_, file) = serving.subject();
+    // One that does not read holds the only place.
+    let mut stalled = connect(serving.address());
+    for _ in 0..50 {
+        let _ = write!(stalled, "GET /v1/archives/{file} HTTP/1.1\r\nhost: here\r\n\r\n");
+    }
+    eventually("it is full", || serving.metric("areoid_requests_in_flight") == 1.0);
+    let start = Instant::now();
+    let refused = serving.get("/v1/catalog");
+    assert_eq!((refused.status, refused.header("retry-after")), (503, "1"));
+    assert!(start.elapsed() < Duration::from_secs(5));
+
+    let idle = [connect(serving.address()), connect(serving.address())];
+    eventually("all places are taken", || serving.metric("areoid_connections") >= 4.0);
+    let refused = exchange(serving.address(), b"").unwrap();
+    assert_eq!((refused.status, refused.header("retry-after")), (503, "1"));
+    drop((stalled, idle));
+    eventually("there is room", || {
+        let answer: Option<Answer> =
+            exchange(serving.address(), b"GET /v1/catalog HTTP/1.0\r\n\r\n");
+        answer.is_some_and(|answer| answer.status == 200)
+    });
+}
+
+#[test]
+fn a_header_that_is_too_large_is_refused() {
+    let serving = Serving::new();
+    let long = "x".repeat(64 << 10);
+    let many = vec![("x-one", "1"); 200];
+    for headers in [vec![("x-long", long.as_str())], many] {
+        assert_eq!(ask(serving.address(), "GET", "/v1/catalog", &headers, "").status, 431);
+    }
+}
+
+/// One service for all cases.
+#[test]
+fn garbage_is_refused_and_harms_nobody() {
+    let serving = Serving::new();
+    let (pages, _) = serving.subject();
+    let piece = prop_oneof![
+        prop::collection::vec(any::<u8>(), 0..60),
+        prop::sample::select(
+            vec![
+                "GET ",
+                "/v1/",
+                "pages/",
+                "archives/",
+                "height?lon=",
+                "%",
+                "..",
+                "/",
+                "-",
+                " HTTP/1.1\r\n",
+                "\r\n",
+                "\r\n\r\n",
+                "range: bytes=",
+                "host: x\r\n",
+                "content-length: 5\r\n",
+                "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+                "transfer-encoding: chunked\r\n",
+                "18446744073709551616",
+                "if-none-match: ",
+                "\"",
+                "POST ",
+                &pages,
+            ]
+            .into_iter()
+            .map(|text| text.as_bytes().to_vec())
+            .collect::<Vec<_>>()
+        ),
+    ];
+    proptest!(ProptestConfig::with_cases(256), |(pieces in prop::collection::vec(piece, 1..12))| {
+        for address in [serving.address(), serving.admin()] {
+            let mut stream = connect(address);
+            let _ = stream.write_all(&pieces.concat());
+            let _ = stream.shutdown(Shutdown::Write);
+            let mut answer = Vec::new();
+            let _ = stream.read_to_end(&mut answer);
+            let answer = String::from_utf8_lossy(&answer);
+            prop_assert!(!answer.starts_with("HTTP/1.1 5"), "{answer}");
+        }
+    });
+    assert_eq!(serving.get(&format!("{pages}/0/0/0")).status, 200);
+    assert_eq!(serving.names(), ["pole"]);
+}

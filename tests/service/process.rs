@@ -1,0 +1,166 @@
+//! The binary: signals, descriptors, killed during an insertion.
+
+use std::fs;
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::net::SocketAddr;
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+
+use super::rig::{Place, TOKEN, connect, eventually, exchange, get, soak};
+
+/// A server of a place in a process of its own.
+struct Process {
+    child: Child,
+    public: SocketAddr,
+    admin: SocketAddr,
+}
+
+impl Process {
+    /// Behind what a shell does first.
+    fn start(place: &Place, first: &str) -> Self {
+        let mut child = Command::new("sh")
+            .args([
+                "-c",
+                &format!("{first} exec \"$0\" \"$@\""),
+                env!("CARGO_BIN_EXE_areoid"),
+                "serve",
+            ])
+            .arg(place.catalog())
+            .args(["--listen", "127.0.0.1:0", "--admin", "127.0.0.1:0", "--token-file"])
+            .arg(place.path("token"))
+            .arg("--allow")
+            .arg(place.path("rasters"))
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+        let line = lines.find(|line| line.starts_with("serving on http://")).unwrap();
+        // Whoever does not read would stop it.
+        thread::spawn(move || lines.for_each(drop));
+        let (public, admin) = line.split_once(", changed on ").unwrap();
+        let public = public.strip_prefix("serving on http://").unwrap().parse().unwrap();
+        Self { child, public, admin: admin.parse().unwrap() }
+    }
+
+    fn signal(&self, signal: &str) {
+        let sent = Command::new("kill").args([signal, &self.child.id().to_string()]).status();
+        assert!(sent.unwrap().success());
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn asked_to_end_it_finishes_what_it_has_begun() {
+    let place = Place::new();
+    let mut process = Process::start(&place, "");
+    let length = fs::metadata(place.archive()).unwrap().len();
+    let file = place.archive().file_name().unwrap().to_str().unwrap().to_owned();
+    let mut stream = connect(process.public);
+    write!(stream, "GET /v1/archives/{file} HTTP/1.1\r\nhost: here\r\n\r\n").unwrap();
+    let mut begun = [0; 1000];
+    stream.read_exact(&mut begun).unwrap();
+    let idle = connect(process.public);
+    process.signal("-TERM");
+    eventually("nobody is taken any more", || {
+        std::net::TcpStream::connect(process.public).is_err()
+    });
+    let mut rest = Vec::new();
+    stream.read_to_end(&mut rest).unwrap();
+    let end = begun.windows(4).position(|window| window == b"\r\n\r\n").unwrap() + 4;
+    assert_eq!((begun.len() - end + rest.len()) as u64, length);
+    drop(idle);
+    assert!(process.child.wait().unwrap().success());
+}
+
+#[test]
+fn asked_twice_it_ends_at_once() {
+    let place = Place::new();
+    let mut process = Process::start(&place, "");
+    let file = place.archive().file_name().unwrap().to_str().unwrap().to_owned();
+    let mut stream = connect(process.public);
+    // It does not read: the drain would take its ten seconds.
+    for _ in 0..50 {
+        let _ = write!(stream, "GET /v1/archives/{file} HTTP/1.1\r\nhost: here\r\n\r\n");
+    }
+    eventually("it is stuck", || {
+        get(process.admin, "/metrics").text().contains("requests_in_flight 1")
+    });
+    let start = Instant::now();
+    process.signal("-TERM");
+    eventually("nobody is taken any more", || std::net::TcpStream::connect(process.admin).is_err());
+    assert!(process.child.try_wait().unwrap().is_none(), "it does not wait for whom it serves");
+    process.signal("-TERM");
+    process.child.wait().unwrap();
+    assert!(start.elapsed() < Duration::from_secs(8), "{:?}", start.elapsed());
+}
+
+#[test]
+fn without_descriptors_it_lives_and_goes_on() {
+    let place = Place::new();
+    let process = Process::start(&place, "ulimit -n 64;");
+    let mut streams = Vec::new();
+    for _ in 0..100 {
+        streams.push(connect(process.public));
+    }
+    // Those that were taken are served, and the processor is not burnt on those that were not.
+    streams[0].write_all(b"GET /v1/catalog HTTP/1.1\r\nhost: here\r\n\r\n").unwrap();
+    streams[0].read_exact(&mut [0; 10]).unwrap();
+    let ticks = || -> u64 {
+        let stat = fs::read_to_string(format!("/proc/{}/stat", process.child.id())).unwrap();
+        stat.rsplit_once(") ")
+            .unwrap()
+            .1
+            .split(' ')
+            .skip(11)
+            .take(2)
+            .map(|ticks| ticks.parse::<u64>().unwrap())
+            .sum()
+    };
+    let before = ticks();
+    thread::sleep(Duration::from_millis(500));
+    assert!(ticks() - before < 20, "it spins");
+    drop(streams);
+    eventually("it is back", || {
+        exchange(process.public, b"GET /v1/catalog HTTP/1.0\r\n\r\n")
+            .is_some_and(|answer| answer.status == 200)
+    });
+}
+
+#[test]
+fn killed_during_an_insertion_it_has_lost_nothing() {
+    let place = Place::new();
+    for round in 0..if soak() { 40 } else { 4 } {
+        let mut process = Process::start(&place, "");
+        assert!(get(process.public, "/v1/catalog").text().contains("\"pole\""));
+        let body = place.insertion(
+            "new",
+            json!({ "temporary": round % 2 == 0, "force": true, "priority": round }),
+        );
+        let mut stream = connect(process.admin);
+        write!(
+            stream,
+            "POST /v1/datasets HTTP/1.1\r\nhost: here\r\nauthorization: Bearer {TOKEN}\r\ncontent-length: {}\r\n\r\n{body}",
+            body.len()
+        ).unwrap();
+        stream.read_exact(&mut [0; 12]).unwrap();
+        thread::sleep(Duration::from_millis(40 * (round % 7)));
+        process.child.kill().unwrap();
+        process.child.wait().unwrap();
+    }
+    let process = Process::start(&place, "");
+    let temporary = fs::read_dir(place.catalog()).unwrap().map(Result::unwrap);
+    let left =
+        temporary.filter(|entry| entry.file_name().to_string_lossy().starts_with("temporary-"));
+    assert_eq!(left.count(), 0);
+    let catalog = get(process.public, "/v1/catalog").text();
+    assert!(catalog.contains("\"pole\"") && !catalog.contains("\"error\""), "{catalog}");
+}
