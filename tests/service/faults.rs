@@ -157,6 +157,7 @@ fn too_many_requests_and_connections_are_told_so_at_once() {
     assert_eq!((refused.status, refused.header("retry-after")), (503, "1"));
     assert!(start.elapsed() < Duration::from_secs(5));
 
+    eventually("only the first is left", || serving.metric("areoid_connections") <= 2.0);
     let idle = [connect(serving.address()), connect(serving.address())];
     eventually("all places are taken", || serving.metric("areoid_connections") >= 4.0);
     let refused = exchange(serving.address(), b"").unwrap();
