@@ -14,8 +14,11 @@ use std::thread;
 use areoid_formats::archive::Archive;
 use areoid_formats::body::Body;
 use areoid_formats::catalog::{Build, Catalog, CatalogError, DatasetRecord, RealDisk};
+use areoid_formats::page::Kind;
 use areoid_preprocess::build::Proceed;
-use areoid_preprocess::ingest::{Event, IngestError, Outcome, Request, Unfinished, ingest};
+use areoid_preprocess::ingest::{
+    Event, IngestError, Outcome, Request, TargetGrid, Unfinished, ingest,
+};
 
 /// How long an inserted dataset lives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -136,7 +139,15 @@ fn keep(
 fn discard(request: &Request) {
     let stem = || Some(request.rasters.first()?.file_stem()?.to_string_lossy().into_owned());
     let Some(name) = request.name.clone().or_else(stem) else { return };
-    for part in ["", ".normal", ".band", ".north", ".south"] {
+    let parts: &[&str] = match request.grid {
+        TargetGrid::Split => &[".band", ".north", ".south"],
+        // Without a name of their own, normals are told from the heights by theirs.
+        TargetGrid::One(_) if request.name.is_none() && request.kind == Some(Kind::Normal) => {
+            &[".normal"]
+        }
+        TargetGrid::One(_) => &[""],
+    };
+    for part in parts {
         // If it stays, the next build of that name discards it.
         let _ = Build::resume(&RealDisk, &request.catalog, &format!("{name}{part}"))
             .and_then(Build::discard);
