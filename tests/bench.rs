@@ -95,3 +95,30 @@ fn bounds_of_made_up_terrain_hold_and_its_rasters_are_kept() {
     assert_eq!(ingest(folder.path(), &options)["chapters"], report["chapters"]);
     assert_eq!(rasters(), made);
 }
+
+/// The cache's book at a size that says nothing but that all of it is measured.
+#[test]
+fn a_tiny_book_of_the_cache_is_complete() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_areoid"))
+        .args(["bench", "cache", "--json", "--seconds", "0.2", "--share", "0.002", "-o"])
+        .arg(folder.path())
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let written = fs::read(folder.path().join("cache.json")).unwrap();
+    assert_eq!(serde_json::from_slice::<Value>(&written).unwrap(), report);
+    let tables = fs::read_to_string(folder.path().join("cache.md")).unwrap();
+    let targets = array(&report, "/targets");
+    assert!(targets.len() >= 15, "{}", targets.len());
+    for target in targets {
+        assert!(target["measured"].as_f64().is_some(), "{target}");
+        assert!(tables.contains(target["what"].as_str().unwrap()), "{target}");
+    }
+    for chapter in ["frame", "skipping", "ahead", "budget", "lookups", "tree"] {
+        assert!(!report["chapters"][chapter].is_null(), "{chapter}");
+    }
+    assert!(!folder.path().join("work").exists());
+}

@@ -13,6 +13,7 @@
 //! short, sessions take turns, and what is only expected to be needed waits for all of them.
 
 use std::collections::{BTreeMap, HashSet, VecDeque};
+use std::ops::Bound;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -235,7 +236,8 @@ impl Store {
     }
 
     fn next_of(&mut self, ahead: bool, starved: &mut bool) -> Option<Request> {
-        let after = self.queues.range(self.last_served + 1..).map(|(session, _)| *session);
+        let later = (Bound::Excluded(self.last_served), Bound::Unbounded);
+        let after = self.queues.range(later).map(|(session, _)| *session);
         let before = self.queues.range(..=self.last_served).map(|(session, _)| *session);
         let turn: Vec<u64> = after.chain(before).collect();
         for session in turn {

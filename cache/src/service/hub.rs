@@ -86,16 +86,20 @@ impl Hub {
         *self.stopping.borrow()
     }
 
-    /// Shows the newest generation, if it is newer than what is shown.
+    /// Shows the newest generation, if it is newer than what is shown, or can be read where that could
+    /// not.
     pub(super) fn refresh(&self) -> Result<(), CatalogError> {
-        let shown = self.now().generation;
-        if Catalog::newest_generation(&self.folder)?.is_none_or(|newest| newest <= shown) {
+        let shown = self.now();
+        let newest = Catalog::newest_generation(&self.folder)?;
+        if shown.unread() == 0 && newest.is_none_or(|newest| newest <= shown.generation) {
             return Ok(());
         }
         let _changing = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
         let before = self.now();
         let next = Snapshot::newest(&self.folder, Some(&before))?;
-        if next.generation > before.generation {
+        if next.generation > before.generation
+            || next.generation == before.generation && next.unread() < before.unread()
+        {
             self.show(&before, next);
         }
         Ok(())

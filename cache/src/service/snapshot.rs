@@ -77,6 +77,11 @@ impl Snapshot {
         Self { generation, body, datasets, json, tag }
     }
 
+    /// Datasets that could not be opened.
+    pub(super) fn unread(&self) -> usize {
+        self.datasets.values().filter(|served| served.archive.is_err()).count()
+    }
+
     /// Opens the newest generation in `folder`, keeping what `before` has of it.
     pub(super) fn newest(folder: &Path, before: Option<&Self>) -> Result<Self, CatalogError> {
         loop {

@@ -10,17 +10,24 @@ use tokio::net::TcpStream;
 use tokio::time::{Instant, Sleep, sleep_until};
 
 /// A stream whose writes fail when nothing could be written for a while.
+///
+/// Its end waits for the client's: a socket that is closed with requests unread in it is reset, and
+/// answers that are still under way are lost.
 #[derive(Debug)]
 pub(super) struct Patient {
     stream: TcpStream,
     patience: Duration,
-    /// Until when the write that waits may.
+    /// Until when the write that waits may, or the end.
     waiting: Option<Pin<Box<Sleep>>>,
+    is_ending: bool,
 }
+
+/// How long the client's end is waited for.
+const LINGER: Duration = Duration::from_secs(5);
 
 impl Patient {
     pub(super) fn new(stream: TcpStream, patience: Duration) -> Self {
-        Self { stream, patience, waiting: None }
+        Self { stream, patience, waiting: None, is_ending: false }
     }
 
     fn judge<T>(
@@ -78,7 +85,23 @@ impl AsyncWrite for Patient {
         self.judge(flushed, context)
     }
 
-    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_shutdown(context)
+    fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        let Self { stream, waiting, is_ending, .. } = self.get_mut();
+        if !*is_ending {
+            ready!(Pin::new(&mut *stream).poll_shutdown(context))?;
+            *is_ending = true;
+            *waiting = Some(Box::pin(sleep_until(Instant::now() + LINGER)));
+        }
+        loop {
+            let mut unread = [0; 4096];
+            let mut unread = ReadBuf::new(&mut unread);
+            match Pin::new(&mut *stream).poll_read(context, &mut unread) {
+                Poll::Ready(Ok(())) if !unread.filled().is_empty() => {}
+                // It has ended, one way or another.
+                Poll::Ready(_) => return Poll::Ready(Ok(())),
+                Poll::Pending => break,
+            }
+        }
+        waiting.as_mut().map_or(Poll::Ready(Ok(())), |end| end.as_mut().poll(context).map(Ok))
     }
 }

@@ -49,7 +49,8 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
             frames += 1;
         }
         let fetched = cache.stats().loads;
-        let ratio = fetched as f64 / necessary.len() as f64;
+        // Of a planet that is too small, nothing may be in sight.
+        let ratio = fetched as f64 / necessary.len().max(1) as f64;
         worst = worst.max(ratio);
         rows.push(vec![
             named.name.to_owned(),
@@ -57,11 +58,11 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
             fetched.to_string(),
             necessary.len().to_string(),
             format!("{ratio:.3}"),
-            format!("{:.3}", wanted[0] as f64 / wanted[1] as f64),
+            format!("{:.3}", wanted[0] as f64 / wanted[1].max(1) as f64),
         ]);
         data.push(json!({
             "flight": named.name, "fetched": fetched, "necessary": necessary.len(), "ratio": ratio,
-            "wanted_over_necessary_in_a_frame": wanted[0] as f64 / wanted[1] as f64,
+            "wanted_over_necessary_in_a_frame": wanted[0] as f64 / wanted[1].max(1) as f64,
         }));
     }
     let head = vec!["flight", "frames", "fetched", "necessary", "ratio", "wanted in a frame"];
