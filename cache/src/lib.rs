@@ -7,6 +7,8 @@
 //!
 //! Modules stand in the order of their dependencies: a file uses only files above it.
 
+mod words;
+
 pub mod view;
 
 pub mod camera;

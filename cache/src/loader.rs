@@ -22,6 +22,7 @@ use crate::scene::Scene;
 use crate::selection::ResidentPage;
 use crate::stats::Stats;
 use crate::store::{Limits, Outcome, PageName, Request, Store, Work};
+use crate::words::in_words;
 
 /// What sessions and loads share.
 #[derive(Debug)]
@@ -229,15 +230,4 @@ impl Drop for Load {
         self.shared.wake();
         self.shared.tell();
     }
-}
-
-/// An error and its causes on one line.
-fn in_words(error: &dyn std::error::Error) -> String {
-    let mut words = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        words = format!("{words}: {error}");
-        cause = error.source();
-    }
-    words
 }

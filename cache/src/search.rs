@@ -9,7 +9,8 @@
 //! Several views, of two eyes or of a wall's tiles, make one search: a page is as bad as it is in
 //! the view that it is worst in.
 //!
-//! Bounds and volumes nest, boxes do not: distances are kept at least as favorable as the parent's, so that errors fall from parent to child and the order above is one.
+//! Bounds and volumes nest, boxes do not: distances are kept at least as favorable as the parent's, so
+//! that errors fall from parent to child and the order above is one.
 //!
 //! # References
 //!

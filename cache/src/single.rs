@@ -107,12 +107,9 @@ pub(crate) async fn load(
     let bytes = known.load_bytes(stored);
     let mut news = shared.subscribe();
     let turn = Turn { engine, number: LAST.fetch_sub(1, Relaxed) };
-    {
-        let mut store = shared.store();
-        store.add_session(turn.number);
-        store.replace_requests(turn.number, vec![Request { work, dataset: known, entry, bytes }]);
-    }
-    shared.start(engine.handle());
+    let request = Request { work, dataset: known, entry, bytes };
+    shared.store().add_session(turn.number);
+    let mut asked = false;
     loop {
         {
             let mut store = shared.store();
@@ -122,10 +119,15 @@ pub(crate) async fn load(
             if let Some(error) = store.error(work) {
                 return Err(PageError::Failed { dataset, page, error: Arc::clone(error) });
             }
-            if store.stalled {
+            // It speaks of this request from the second look on.
+            if store.stalled && asked {
                 return Err(PageError::NoRoom { dataset, page });
             }
+            // Anew each time: it may have been loaded, and dropped for others before it was seen here.
+            store.replace_requests(turn.number, vec![request.clone()]);
+            asked = true;
         }
+        shared.start(engine.handle());
         news.changed().await.map_err(|_| PageError::Closed)?;
     }
 }

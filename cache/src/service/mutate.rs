@@ -16,6 +16,7 @@ use super::answer::{Answer, Content};
 use super::hub::Hub;
 use super::snapshot::Served;
 use crate::insertion::{self, InsertError, Inserted, Lifetime};
+use crate::words::in_words;
 
 /// Begins, and answers with what comes of it. It goes on if the client does not listen any more.
 pub(super) fn insert(
@@ -57,7 +58,7 @@ pub(super) fn insert(
             Ok(Err(error)) => {
                 counted.insertions_failed.fetch_add(1, Relaxed);
                 warn!(error = &error as &dyn std::error::Error, "not inserted");
-                json!({ "error": told_whole(&error) })
+                json!({ "error": in_words(&error) })
             }
             Err(_) => {
                 counted.insertions_failed.fetch_add(1, Relaxed);
@@ -103,9 +104,4 @@ fn progress(event: &Event) -> Option<(usize, Bytes)> {
 
 fn line(value: &Value) -> Bytes {
     format!("{value}\n").into()
-}
-
-fn told_whole(error: &dyn std::error::Error) -> String {
-    let causes = std::iter::successors(error.source(), |&cause| cause.source());
-    causes.fold(error.to_string(), |text, cause| format!("{text}: {cause}"))
 }

@@ -15,6 +15,7 @@ use tracing::debug;
 use super::answer::{self, Answer, Content, IMMUTABLE, tag, tagged};
 use super::hub::Hub;
 use super::snapshot::Served;
+use crate::words::in_words;
 
 /// A page in memory, and what its answers say.
 #[derive(Debug)]
@@ -117,15 +118,9 @@ pub(super) async fn page(hub: &Arc<Hub>, path: [&str; 5], asked: &HeaderMap) -> 
         Err(error) => {
             hub.metrics.damaged.fetch_add(1, Relaxed);
             debug!(page = %format_args!("{name}/{level}/{row}/{col}"), error = &error as &dyn std::error::Error, "page not read");
-            answer::error(StatusCode::INTERNAL_SERVER_ERROR, answer_of(&error))
+            answer::error(StatusCode::INTERNAL_SERVER_ERROR, in_words(&error))
         }
     }
-}
-
-/// An error and its causes in a line.
-fn answer_of(error: &dyn std::error::Error) -> String {
-    let causes = std::iter::successors(error.source(), |&cause| cause.source());
-    causes.fold(error.to_string(), |text, cause| format!("{text}: {cause}"))
 }
 
 fn empty() -> Answer {

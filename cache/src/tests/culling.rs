@@ -4,7 +4,7 @@
 use std::sync::LazyLock;
 
 use areoid_formats::address::PageAddress;
-use areoid_formats::grid::{Placement, TexelPoint};
+use areoid_formats::grid::TexelPoint;
 use areoid_formats::pyramid::{Extent, PoleContact};
 use areoid_formats::units::Degrees;
 use areoid_preprocess::resample::target::{Split, split};
@@ -287,15 +287,8 @@ fn searches_want_little_more_than_is_seen() {
 
 /// A globe on its own grid, and the band and the caps that it is split into.
 fn split_globe() -> (Grid, [Grid; 3]) {
-    let outline = Outline {
-        origin: [-180.0, 90.0],
-        pixel_size: [360.0 / 4096.0; 2],
-        width: 4096,
-        height: 2048,
-    };
-    let crs = Crs::new(Projection::Geographic, mars().ellipsoid);
-    let globe = Grid::from_outline(crs, outline, 66).unwrap().grid;
-    let placement = Placement::from_outline(crs, outline).unwrap();
+    let globe = fine_globe();
+    let (crs, placement) = (*globe.crs(), globe.placement());
     let Split { rows, north, south } = split(&placement, 66).unwrap();
     let extent = Extent {
         height: rows.end - rows.start,

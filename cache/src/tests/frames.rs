@@ -144,3 +144,30 @@ fn looking_back_reads_nothing() {
     }
     assert_eq!(cache.stats().loads, loads);
 }
+
+/// Views that are none are answered with something, and are over with the next one.
+#[test]
+fn views_that_make_no_sense_do_no_harm() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let cache = globe.cache(PLENTY, 2);
+    let mut session = cache.session();
+    let near = view(10.0, 20.0, 3e5, 30.0);
+    let truth = session.settle(&near);
+    for number in [f64::NAN, f64::INFINITY, -f64::INFINITY, 0.0, -1.0, 1e300, f64::MIN_POSITIVE] {
+        for odd in [
+            View { eye: DVec3::splat(number), ..near },
+            View { eye: DVec3::new(number, 0.0, 0.0), ..near },
+            View { orientation: DMat3::from_cols_array(&[number; 9]), ..near },
+            View { vertical_fov: areoid_formats::units::Radians(number), ..near },
+            View { tolerance_px: number, ..near },
+            View { viewport: [0, 0], ..near },
+            View { viewport: [u32::MAX, 1], tolerance_px: number, ..near },
+        ] {
+            session.update(&odd);
+            session.update_all(&[odd, near]);
+        }
+    }
+    assert!(session.update_all(&[]).pages.is_empty());
+    let again = session.settle(&near);
+    assert_eq!((again.pages.len(), again.missing), (truth.pages.len(), 0));
+}
