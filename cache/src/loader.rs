@@ -167,7 +167,11 @@ impl Shared {
             let unused = |scene: &mut Arc<Scene>| Arc::strong_count(scene) == 1;
             let unused: Vec<_> = retired.extract_if(.., unused).collect();
             drop(retired);
-            drop(unused);
+            if !unused.is_empty() {
+                // What was on the screen when its dataset went is in nobody's way any more.
+                let now = self.scene();
+                self.store().forget(|number| now.place(number).is_none());
+            }
         }
     }
 }
