@@ -192,6 +192,46 @@ proptest! {
     }
 }
 
+/// What is seen of a page is at least as far as its sight says, along the eye's axis too; and of some
+/// pages not much farther.
+#[test]
+fn what_is_seen_is_no_nearer_than_its_sight() {
+    let (globe, cap) = both();
+    let scene = scene(&[globe, cap]);
+    let (mut seen, mut tightest) = (0, f64::INFINITY);
+    for step in 0..60_u32 {
+        let chance = |salt| chance(PageAddress::new(Level(0), step, 1), salt);
+        let view = View {
+            vertical_fov: Degrees(10.0 + 90.0 * chance(11)).into(),
+            ..view(
+                360.0 * chance(12),
+                180.0 * chance(13) - 90.0,
+                10.0_f64.powf(3.5 + 3.5 * chance(14)),
+                95.0 * chance(15),
+            )
+        };
+        let lens = crate::view::Lens::new(&view, scene.inscribed_radius());
+        for (place, dataset) in [globe, cap].into_iter().enumerate() {
+            for entry in &dataset.entries {
+                let sight = lens.sight(&scene.datasets[place].node(*entry).volume);
+                for point in points(dataset, entry, 4) {
+                    if !is_seen(&scene, &view, point) {
+                        continue;
+                    }
+                    seen += 1;
+                    let line = point - view.eye;
+                    let (distance, cosine) = (line.length(), line.normalize().dot(view.axis()));
+                    let reach = distance * cosine * cosine;
+                    assert!(sight.distance <= distance * (1.0 + 1e-9), "{} {point}", entry.page);
+                    assert!(sight.reach <= reach * (1.0 + 1e-9), "{} {point}", entry.page);
+                    tightest = tightest.min(reach / sight.reach);
+                }
+            }
+        }
+    }
+    assert!(seen > 10_000 && tightest < 1.01, "{seen} points, {tightest}");
+}
+
 #[test]
 fn an_allowance_raises_the_tolerance_to_what_fits() {
     let globe = Gated::new("globe", globe(), Kind::Height);

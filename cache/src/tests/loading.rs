@@ -408,3 +408,43 @@ fn a_selection_knows_heights_as_well_as_it_says() {
     }
     assert!(found > 20 && coarse > 0, "{found} {coarse}");
 }
+
+/// Of pages over one another the finest answers.
+#[test]
+fn a_height_is_that_of_the_finest_page() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let cache = globe.cache(PLENTY, 2);
+    let settled = cache.session().settle(&view(0.0, 0.0, 1e7, 0.0));
+    let grid = &globe.info.grid;
+    let finest = grid.pyramid().finest();
+    let mut found = 0;
+    for entry in globe.entries.iter().filter(|entry| entry.page.level == finest).take(40) {
+        let mut lineage: Vec<_> =
+            std::iter::successors(Some(entry.page), |page| page.parent()).collect();
+        lineage.reverse();
+        let load = |page: PageAddress| cache.wait_for(cache.page(0, page)).unwrap().unwrap();
+        let select = |pages: &[PageAddress]| Selection {
+            generation: 0,
+            scene: 0,
+            datasets: settled.datasets.clone(),
+            pages: pages.iter().map(|page| load(*page)).collect(),
+            missing: 0,
+            failed: Vec::new(),
+            tolerance_px: 1.0,
+            visited: 0,
+            wanted: 0,
+            culled: 0,
+        };
+        let interior = f64::from(grid.pyramid().interior());
+        let [x, y] = [entry.page.col, entry.page.row].map(|at| (f64::from(at) + 0.5) * interior);
+        let place = areoid_formats::grid::TexelPoint { x, y };
+        let position = grid.geographic_from_texel(finest, place).unwrap();
+        let all = select(&lineage).height(position).unwrap();
+        let alone = select(&[entry.page]).height(position).unwrap();
+        let above = select(&lineage[..lineage.len() - 1]).height(position).unwrap();
+        assert_eq!((all.height_m, all.bound_m), (alone.height_m, alone.bound_m));
+        assert!(above.bound_m > alone.bound_m);
+        found += 1;
+    }
+    assert_eq!(found, 40);
+}
