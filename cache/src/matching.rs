@@ -30,6 +30,8 @@ pub(crate) struct Matcher {
 struct Mark {
     used: bool,
     asked: bool,
+    /// Missing pages for which it would stand in, and no other that is asked for.
+    waiting: usize,
 }
 
 impl Seen {
@@ -39,14 +41,14 @@ impl Seen {
 }
 
 impl Matcher {
-    /// So many pages are loaded in a frame or two.
+    /// One page that stands in is asked for to so many that are missing.
     const FEW: usize = 8;
 
     /// The pages to draw; what to ask for is added to `requests`, in order of need.
     ///
     /// Of a wanted page that is not there, the nearest ancestor that is stands in. Where many are
-    /// missing, every other ancestor in between is asked for, so that one soon is: halving twice at
-    /// a time costs a fifteenth more pages, and each step a third. A few come as soon without.
+    /// missing, the finest ancestors that [`Self::FEW`] of them have in common are asked for first, so
+    /// that the picture is soon whole. A few come as soon without.
     pub(crate) fn compare(
         &mut self,
         scene: &Scene,
@@ -72,10 +74,8 @@ impl Matcher {
                 None => {}
             }
         }
-        let holds = |place: &&usize| store.holds(found.seen[**place].name(scene));
-        let is_leap = found.wanted.len() - found.wanted.iter().filter(holds).count() > Self::FEW;
         for &wanted in &found.wanted {
-            let (mut next, mut skipped) = (Some(wanted), 1);
+            let mut next = Some(wanted);
             // Until something can still be had, the one above would be the best there is.
             let mut is_best = true;
             while let Some(place) = next {
@@ -92,18 +92,18 @@ impl Matcher {
                 match store.error(Work::Texels(name)) {
                     Some(error) if place == wanted => result.failed.push(failure(name, error)),
                     Some(_) => {}
-                    None => {
-                        result.missing += usize::from(is_best);
-                        if skipped == 1 && (is_leap || is_best) {
-                            self.ask(place, name);
-                        }
+                    None if is_best => {
+                        result.missing += 1;
+                        self.marks[place].waiting += 1;
+                        self.ask(place, name);
                         is_best = false;
-                        skipped = 1 - skipped;
                     }
+                    None => {}
                 }
                 next = seen.parent;
             }
         }
+        self.ask_for_few(scene, found, store);
         for &place in &found.unindexed {
             let name = found.seen[place].name(scene);
             match store.error(Work::Children(name)) {
@@ -117,6 +117,26 @@ impl Matcher {
         result.pages.sort_unstable_by_key(|page| (page.entry.page, page.dataset));
         self.end(scene, found, requests);
         result
+    }
+
+    /// Asks for what stands in for many.
+    fn ask_for_few(&mut self, scene: &Scene, found: &Found, store: &Store) {
+        // Children come after their parents.
+        for (place, seen) in found.seen.iter().enumerate().rev() {
+            let Some(parent) = seen.parent else { continue };
+            let Mark { waiting, asked, .. } = self.marks[place];
+            if waiting >= Self::FEW && !asked {
+                let name = seen.name(scene);
+                if !store.holds(name) && store.error(Work::Texels(name)).is_none() {
+                    self.ask(place, name);
+                }
+            }
+            let is_served =
+                self.marks[place].used || waiting >= Self::FEW && self.marks[place].asked;
+            if !is_served {
+                self.marks[parent].waiting += waiting;
+            }
+        }
     }
 
     /// What to ask for so that what was found will be there; nothing is used by it.

@@ -8,6 +8,15 @@ use rustc_hash::FxHashMap;
 
 use crate::scene::{Dataset, Node};
 
+/// What a part of a page says about the whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Verdict {
+    Yes,
+    No,
+    /// Its own parts may tell.
+    Unsure,
+}
+
 /// See the module. Datasets' numbers are for good: what is remembered outlives a scene.
 #[derive(Debug, Default)]
 pub(crate) struct Memo {
@@ -53,6 +62,41 @@ impl Memo {
                 Some(&entry.insert(Family { stamp, terrain, nodes }).nodes)
             }
         }
+    }
+
+    /// Whether all parts of a page that have data, at most so many levels below it, are known to be
+    /// as wanted; and all of it has data, if `whole` asks for that. `judge` is told if no parts of a
+    /// part can tell more.
+    pub(crate) fn all_parts(
+        &mut self,
+        dataset: &Dataset,
+        page: PageAddress,
+        (levels, whole): (u32, bool),
+        visited: &mut usize,
+        judge: &impl Fn(&Node, bool) -> Verdict,
+    ) -> bool {
+        let pyramid = dataset.info.grid.pyramid();
+        let finest = pyramid.finest();
+        if levels == 0 || page.level == finest {
+            return false;
+        }
+        let Some(children) = self.children(dataset, page) else { return false };
+        if whole && children.len() < pyramid.children(page).count() {
+            return false;
+        }
+        // A page has at most four.
+        let mut unsure = [None; 4];
+        for (child, place) in children.iter().zip(&mut unsure) {
+            *visited += 1;
+            let is_last = levels == 1 || child.entry.page.level == finest;
+            match judge(child, is_last) {
+                Verdict::Yes => {}
+                Verdict::No => return false,
+                Verdict::Unsure => *place = Some(child.entry.page),
+            }
+        }
+        let mut unsure = unsure.into_iter().flatten();
+        unsure.all(|part| self.all_parts(dataset, part, (levels - 1, whole), visited, judge))
     }
 
     /// A search has ended.

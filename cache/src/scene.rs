@@ -23,10 +23,14 @@ pub(crate) struct Scene {
     pub(crate) generation: u64,
     /// By number, ascending.
     pub(crate) datasets: Vec<Arc<Dataset>>,
-    /// Their numbers, side by side: a search looks thousands up.
+    /// Their numbers, side by side.
     numbers: Vec<usize>,
-    /// Over the root volumes, by number.
+    /// Over the root volumes, by slot.
     pub(crate) tree: Bvh,
+    /// By slot: what is there, as a search goes through thousands of them.
+    pub(crate) slots: Vec<Slot>,
+    /// Slots of datasets that are gone, for others.
+    free: Vec<u32>,
     body: Body,
     /// Least and greatest height of the terrain that there ever was, the reference surface included.
     heights: [f64; 2],
@@ -36,10 +40,20 @@ pub(crate) struct Scene {
     changes: usize,
 }
 
+/// A dataset as the tree sees it: small, and beside others.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Slot {
+    /// Its place in [`Scene::datasets`].
+    pub(crate) place: usize,
+    /// The greatest diagonal of one of its roots, in meters.
+    pub(crate) extent_m: f64,
+}
+
 /// A dataset as the search sees it.
 #[derive(Debug)]
 pub(crate) struct Dataset {
     pub(crate) number: usize,
+    pub(crate) slot: u32,
     pub(crate) info: Arc<DatasetInfo>,
     pub(crate) pages: Arc<dyn PageSource>,
     pub(crate) roots: Vec<Node>,
@@ -79,10 +93,18 @@ impl Newcomer {
 
 impl Scene {
     pub(crate) fn empty(body: Body) -> Self {
-        let tree = Bvh::default();
-        let (datasets, heights) = (Vec::new(), [0.0; 2]);
-        let numbers = Vec::new();
-        Self { generation: 0, datasets, numbers, tree, body, heights, next: 0, changes: 0 }
+        Self {
+            generation: 0,
+            datasets: Vec::new(),
+            numbers: Vec::new(),
+            tree: Bvh::default(),
+            slots: Vec::new(),
+            free: Vec::new(),
+            body,
+            heights: [0.0; 2],
+            next: 0,
+            changes: 0,
+        }
     }
 
     /// The scene without the datasets that `drop` is true for, and with others.
@@ -94,7 +116,8 @@ impl Scene {
         let mut scene = self.clone();
         scene.generation += 1;
         for gone in scene.datasets.extract_if(.., |dataset| drop(&dataset.info)) {
-            scene.tree.remove(gone.item());
+            scene.tree.remove(gone.slot);
+            scene.free.push(gone.slot);
             scene.changes += 1;
         }
         let newcomers: Vec<Newcomer> = newcomers.into_iter().collect();
@@ -110,7 +133,7 @@ impl Scene {
             let heights = scene.heights;
             for dataset in scene.datasets.iter_mut().filter(|dataset| dataset.is_laid_on()) {
                 let moved = dataset.on(heights);
-                scene.tree.insert(moved.item(), moved.bounds());
+                scene.tree.insert(moved.slot, moved.bounds());
                 scene.changes += 1;
                 *dataset = Arc::new(moved);
             }
@@ -118,13 +141,18 @@ impl Scene {
         for Newcomer { info, pages, roots } in newcomers {
             let number = scene.next as usize;
             scene.next = scene.next.checked_add(1).expect("fewer than 2^32 datasets ever");
-            let dataset = Dataset::new(number, info, pages, roots, scene.heights);
-            scene.tree.insert(dataset.item(), dataset.bounds());
+            let slot = scene.free.pop().unwrap_or_else(|| scene.add_slot());
+            let dataset = Dataset::new(number, slot, info, pages, roots, scene.heights);
+            scene.tree.insert(slot, dataset.bounds());
             scene.changes += 1;
             scene.datasets.push(Arc::new(dataset));
         }
         scene.numbers.clear();
         scene.numbers.extend(scene.datasets.iter().map(|dataset| dataset.number));
+        for (place, dataset) in scene.datasets.iter().enumerate() {
+            let extent_m = dataset.roots.iter().map(Node::extent_m).fold(0.0, f64::max);
+            scene.slots[dataset.slot as usize] = Slot { place, extent_m };
+        }
         scene.keep_tree();
         scene
     }
@@ -133,7 +161,7 @@ impl Scene {
     fn keep_tree(&mut self) {
         const FEW: usize = 64;
         if self.changes > FEW.max(self.datasets.len() / 2) {
-            let boxes = self.datasets.iter().map(|dataset| (dataset.item(), dataset.bounds()));
+            let boxes = self.datasets.iter().map(|dataset| (dataset.slot, dataset.bounds()));
             let fresh = Bvh::build(boxes);
             if fresh.cost() < self.tree.cost() {
                 self.tree = fresh;
@@ -142,9 +170,33 @@ impl Scene {
         }
     }
 
+    fn add_slot(&mut self) -> u32 {
+        self.slots.push(Slot { place: 0, extent_m: 0.0 });
+        u32::try_from(self.slots.len() - 1).expect("fewer than 2^32 datasets")
+    }
+
     /// Where the dataset of a number stands.
     pub(crate) fn place(&self, number: usize) -> Option<usize> {
         self.numbers.binary_search(&number).ok()
+    }
+
+    /// The boxes around the datasets that one of two scenes has and the other has not, or `None` if
+    /// what both have may lie elsewhere.
+    pub(crate) fn changes<'a>(
+        &'a self,
+        other: &'a Self,
+    ) -> Option<impl Iterator<Item = Aabb> + 'a> {
+        let lacks = |one: &'a Self, other: &'a Self| {
+            let mut next = 0;
+            let numbers = one.numbers.iter().enumerate().filter(move |&(_, number)| {
+                while other.numbers.get(next).is_some_and(|there| there < number) {
+                    next += 1;
+                }
+                other.numbers.get(next) != Some(number)
+            });
+            numbers.map(|(place, _)| one.datasets[place].bounds())
+        };
+        (self.heights == other.heights).then(|| lacks(self, other).chain(lacks(other, self)))
     }
 
     /// What there is to say of all datasets.
@@ -152,27 +204,32 @@ impl Scene {
         self.datasets.iter().map(|dataset| (dataset.number, Arc::clone(&dataset.info))).collect()
     }
 
-    /// A sphere below all terrain.
-    pub(crate) fn inscribed_radius(&self) -> Meters {
-        Meters(self.body.ellipsoid.b().0 + self.heights[0])
+    /// The radii of a sphere below all terrain, and of one around it.
+    pub(crate) fn radii(&self) -> [Meters; 2] {
+        let ellipsoid = &self.body.ellipsoid;
+        // Boxes of colors and of heights end at the outer one too, but for rounding.
+        [ellipsoid.b().0 + self.heights[0], (ellipsoid.a().0 + self.heights[1]) * (1.0 + 1e-6)]
+            .map(Meters)
     }
+}
 
-    /// A sphere around all terrain.
-    pub(crate) fn greatest_radius(&self) -> Meters {
-        // Boxes of colors and of heights end here too, but for rounding.
-        Meters((self.body.ellipsoid.a().0 + self.heights[1]) * (1.0 + 1e-6))
+impl Node {
+    /// How far two of its points are apart at most.
+    pub(crate) fn extent_m(&self) -> f64 {
+        2.0 * self.volume.bounds().radius()
     }
 }
 
 impl Dataset {
     fn new(
         number: usize,
+        slot: u32,
         info: Arc<DatasetInfo>,
         pages: Arc<dyn PageSource>,
         roots: Vec<PageEntry>,
         heights: [f64; 2],
     ) -> Self {
-        let mut dataset = Self { number, info, pages, roots: Vec::new(), heights };
+        let mut dataset = Self { number, slot, info, pages, roots: Vec::new(), heights };
         dataset.roots = roots.into_iter().map(|entry| dataset.node(entry)).collect();
         dataset
     }
@@ -180,17 +237,13 @@ impl Dataset {
     /// The same on another terrain.
     fn on(&self, heights: [f64; 2]) -> Self {
         let roots = self.roots.iter().map(|root| root.entry).collect();
-        Self::new(self.number, Arc::clone(&self.info), Arc::clone(&self.pages), roots, heights)
+        let (info, pages) = (Arc::clone(&self.info), Arc::clone(&self.pages));
+        Self::new(self.number, self.slot, info, pages, roots, heights)
     }
 
     /// Whether it lies on a terrain, and is none.
     fn is_laid_on(&self) -> bool {
         self.info.kind != Kind::Height
-    }
-
-    /// Its number in the tree.
-    fn item(&self) -> u32 {
-        u32::try_from(self.number).expect("numbers are counted in 32 bits")
     }
 
     fn bounds(&self) -> Aabb {

@@ -20,12 +20,13 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use areoid_formats::address::PageAddress;
+use areoid_formats::bounds::Aabb;
 use areoid_formats::bvh::{Branch, Parts};
 use areoid_formats::page::Kind;
+use areoid_formats::volume::Volume;
 
-use crate::memo::Memo;
-use crate::scene::{Dataset, Node, Scene};
+use crate::memo::{Memo, Verdict};
+use crate::scene::{Node, Scene, Slot};
 use crate::view::{Lens, Sight, View};
 
 /// A page in sight.
@@ -79,6 +80,8 @@ enum Step {
     Refine,
     /// `place` is one in `roots`.
     Draw,
+    /// `place` is a dataset's.
+    Open,
     /// `place` is a branch of the tree over the datasets.
     Climb,
 }
@@ -98,7 +101,7 @@ pub(crate) fn search(
         return;
     };
     found.tolerance_px = first.tolerance_px;
-    found.lenses.extend(views.iter().map(|view| Lens::new(view, scene.inscribed_radius())));
+    found.lenses.extend(views.iter().map(|view| Lens::new(view, scene.radii())));
     let mut lenses = std::mem::take(&mut found.lenses);
     let search = Search { scene, views, lenses: &lenses };
 
@@ -109,6 +112,7 @@ pub(crate) fn search(
     while let Some(Candidate { pixels, place, step }) = found.heap.pop() {
         match step {
             Step::Climb => search.take_apart(place, found),
+            Step::Open => search.open(place, found),
             Step::Draw => {
                 let root = &found.roots[place];
                 let more = scene.datasets[root.dataset].page_bytes(&root.node.entry);
@@ -139,40 +143,40 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// How many levels of parts are looked at of a page that may not be seen.
-    const PARTS: u32 = 2;
+    /// How many levels of parts are looked at to see less of a page, or none.
+    const PARTS: u32 = 3;
+
+    /// How often the sides of the last parts are halved for that.
+    const HALVINGS: u32 = 3;
 
     /// Puts a branch of the tree over the datasets among what is to come, by the largest that one of
     /// its datasets can be on the screen.
     fn climb(&self, branch: usize, found: &mut Found) {
         found.visited += 1;
-        let Branch { bounds, largest_m, .. } = self.scene.tree.branch(branch);
-        let greatest = self.scene.greatest_radius();
-        let sights = self.lenses.iter().map(|lens| {
-            if lens.misses_box(&bounds, greatest) {
-                Sight::NONE
-            } else {
-                lens.sight_of_box(&bounds)
+        let Branch { bounds, largest_m, parts } = self.scene.tree.branch(branch);
+        let in_sight = self.lenses.iter().map(|lens| (lens, !lens.misses_box(&bounds)));
+        let sights = |sight: fn(&Lens, &Aabb) -> Sight| {
+            in_sight.map(move |(lens, seen)| if seen { sight(lens, &bounds) } else { Sight::NONE })
+        };
+        let (pixels, place, step) = match parts {
+            Parts::Branches(_) => {
+                (self.worst(largest_m, sights(Lens::rough_sight_of_box)), branch, Step::Climb)
             }
-        });
-        let pixels = self.worst(largest_m, sights);
+            Parts::Item(slot) => {
+                let Slot { place, extent_m } = self.scene.slots[slot as usize];
+                (self.worst(extent_m, sights(Lens::sight_of_box)), place, Step::Open)
+            }
+        };
         if pixels >= Lens::SMALLEST_PX {
-            found.heap.push(Candidate { pixels, place: branch, step: Step::Climb });
+            found.heap.push(Candidate { pixels, place, step });
         }
     }
 
     /// Takes a branch of the tree apart.
     fn take_apart(&self, branch: usize, found: &mut Found) {
-        match self.scene.tree.branch(branch).parts {
-            Parts::Branches(children) => {
-                for child in children {
-                    self.climb(child, found);
-                }
-            }
-            Parts::Item(number) => {
-                if let Some(place) = self.scene.place(number as usize) {
-                    self.open(place, found);
-                }
+        if let Parts::Branches(children) = self.scene.tree.branch(branch).parts {
+            for child in children {
+                self.climb(child, found);
             }
         }
     }
@@ -186,8 +190,7 @@ impl Search<'_> {
                 continue;
             };
             // Nearer than its own size, it is as large as can be.
-            let extent = 2.0 * node.volume.bounds().radius();
-            let size = self.worst(extent, sights[mark..].iter().copied());
+            let size = self.worst(node.extent_m(), sights[mark..].iter().copied());
             let (pixels, place) = (size.max(root.pixels), found.roots.len());
             found.heap.push(Candidate { pixels, place, step: Step::Draw });
             found.roots.push(root);
@@ -243,9 +246,26 @@ impl Search<'_> {
             }
         }
         found.sights = sights;
-        // What is seen of the page lies under the children that are seen, and their boxes are tighter.
-        let is_fine = sharper <= found.tolerance_px;
-        if is_fine || *bytes + more > allowance {
+        // What is seen of the page lies under the parts that are seen, and their boxes are tighter.
+        let tolerance = found.tolerance_px;
+        if sharper > tolerance
+            && memo.all_parts(
+                dataset,
+                page,
+                (Self::PARTS, false),
+                &mut found.visited,
+                &|part, is_last| {
+                    if part.entry.valid_fraction <= 0.0 {
+                        return Verdict::Yes;
+                    }
+                    let halvings = if is_last { Self::HALVINGS } else { 0 };
+                    self.is_fine(&part.volume, (parent.error_m, tolerance), halvings)
+                },
+            )
+        {
+            sharper = tolerance;
+        }
+        if sharper <= tolerance || *bytes + more > allowance {
             found.seen.truncate(first);
             found.sights.truncate(first_sight);
             found.seen[place].pixels = sharper;
@@ -274,42 +294,55 @@ impl Search<'_> {
             {
                 return true;
             }
-            let unseen = self.are_parts_unseen(dataset, page, Self::PARTS, memo, visited);
+            let unseen =
+                memo.all_parts(dataset, page, (Self::PARTS, true), visited, &|part, is_last| {
+                    let halvings = if is_last { Self::HALVINGS } else { 0 };
+                    if self.is_unseen(&part.volume, halvings) {
+                        Verdict::Yes
+                    } else {
+                        Verdict::Unsure
+                    }
+                });
             *culled += usize::from(unseen);
             !unseen
         });
     }
 
-    /// Whether all parts of a page, so many levels down, are known and out of sight.
-    fn are_parts_unseen(
-        &self,
-        dataset: &Dataset,
-        page: PageAddress,
-        levels: u32,
-        memo: &mut Memo,
-        visited: &mut usize,
-    ) -> bool {
-        let pyramid = dataset.info.grid.pyramid();
-        let Some(children) = memo.children(dataset, page) else { return false };
-        let known = children.len() == pyramid.children(page).count();
-        *visited += children.len();
-        let seen = children.iter().filter(|child| !self.is_out_of_sight(child));
-        // A page has at most four.
-        let mut parts = [None; 4];
-        for (part, child) in parts.iter_mut().zip(seen) {
-            *part = Some(child.entry.page);
-        }
-        let has_parts = levels > 1 && page.level.finer() != pyramid.finest();
-        known
-            && (has_parts || parts[0].is_none())
-            && parts
-                .into_iter()
-                .flatten()
-                .all(|part| self.are_parts_unseen(dataset, part, levels - 1, memo, visited))
+    /// Whether a part is out of sight, by itself or quarter by quarter.
+    fn is_unseen(&self, part: &Volume, halvings: u32) -> bool {
+        self.lenses.iter().all(|lens| lens.misses(part))
+            || halvings > 0
+                && !self.lenses.iter().any(|lens| lens.holds(part))
+                && part.quarters().iter().all(|quarter| self.is_unseen(quarter, halvings - 1))
     }
 
-    fn is_out_of_sight(&self, node: &Node) -> bool {
-        node.entry.valid_fraction <= 0.0 || self.lenses.iter().all(|lens| lens.misses(&node.volume))
+    /// Whether an error is within the tolerance wherever a part is seen.
+    fn is_fine(
+        &self,
+        part: &Volume,
+        (error_m, tolerance_px): (f64, f64),
+        halvings: u32,
+    ) -> Verdict {
+        let sights = self.lenses.iter().map(|lens| lens.sight(part));
+        if self.worst(error_m, sights) <= tolerance_px {
+            return Verdict::Yes;
+        }
+        // Where it is farthest off, in the middle of a picture.
+        let bounds = part.bounds();
+        let farthest = self.lenses.iter().map(|lens| {
+            let distance = lens.eye.distance(bounds.center) + bounds.radius();
+            Sight { distance, reach: distance }
+        });
+        if self.worst(error_m, farthest) > tolerance_px {
+            return Verdict::No;
+        }
+        let is_fine =
+            |quarter| self.is_fine(&quarter, (error_m, tolerance_px), halvings - 1) == Verdict::Yes;
+        if halvings > 0 && part.quarters().into_iter().all(is_fine) {
+            Verdict::Yes
+        } else {
+            Verdict::Unsure
+        }
     }
 
     /// A page as it is seen, one sight for each view; or `None`, and none, if it is not.

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
+use areoid_formats::bounds::Aabb;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
@@ -15,7 +16,7 @@ use crate::scene::Scene;
 use crate::search::{Found, search};
 use crate::selection::{Datasets, Selection};
 use crate::store::{PageName, Store};
-use crate::view::View;
+use crate::view::{Lens, View};
 
 /// A rendering context's way into the cache.
 ///
@@ -195,7 +196,7 @@ impl Session {
         self.views.clear();
         self.views.extend_from_slice(views);
         if let Some(scene) = self.engine.shared().try_scene() {
-            self.expect(scene, now);
+            self.expect(scene, views, now);
         }
         let allowance = self.allowance();
         let mut visited = 0;
@@ -212,10 +213,17 @@ impl Session {
         self.budget_bytes / 2 / sessions
     }
 
-    /// Notes that `scene` is the one to be shown.
-    fn expect(&mut self, scene: Arc<Scene>, now: Instant) {
+    /// Notes that `scene` is the one to be shown; at once, if what has changed is out of sight.
+    fn expect(&mut self, scene: Arc<Scene>, views: &[View], now: Instant) {
         let known = self.next.as_ref().map_or(&self.shown, |(_, next)| next);
         if Arc::ptr_eq(&scene, &known.scene) {
+            return;
+        }
+        let lenses: Vec<Lens> = views.iter().map(|view| Lens::new(view, scene.radii())).collect();
+        let is_unseen = |bounds: Aabb| lenses.iter().all(|lens| lens.misses_box(&bounds));
+        if self.shown.scene.changes(&scene).is_some_and(|mut changes| changes.all(is_unseen)) {
+            self.shown.scene = scene;
+            self.next = None;
             return;
         }
         // The clock runs from the first change that is not shown yet.
@@ -319,10 +327,9 @@ impl Session {
         }
         *last = Some(now);
         let mut needs = Vec::new();
-        if let (Some(view), 1) = (
-            self.motion.predict(Self::LOOK_AHEAD, self.shown.scene.inscribed_radius().0),
-            self.views.len(),
-        ) {
+        if let (Some(view), 1) =
+            (self.motion.predict(Self::LOOK_AHEAD, self.shown.scene.radii()[0].0), self.views.len())
+        {
             search(&self.shown.scene, &mut self.memo, &[view], allowance, found);
             self.matcher.expect(&self.shown.scene, found, store, &mut needs);
         }

@@ -45,6 +45,8 @@ pub(crate) struct Lens {
     down_cosine: f64,
     /// What a sphere below all terrain hides.
     horizon: Option<Horizon>,
+    /// Before that, if the body has nothing beyond the greatest radius.
+    before: Option<HalfSpace>,
 }
 
 /// How near a page, or some other thing, is to a view.
@@ -75,11 +77,13 @@ impl Lens {
     /// A dataset that is smaller on the screen is not drawn.
     pub(crate) const SMALLEST_PX: f64 = 1.0;
 
-    pub(crate) fn new(view: &View, inscribed_radius: Meters) -> Self {
+    /// All terrain lies between the two radii.
+    pub(crate) fn new(view: &View, [inscribed_radius, greatest_radius]: [Meters; 2]) -> Self {
         let [width, height] = view.viewport.map(|pixels| f64::from(pixels.max(1)));
         let up_tangent = (view.vertical_fov.0 / 2.0).tan();
         let right_tangent = up_tangent * width / height;
         let DMat3 { x_axis: right, y_axis: up, z_axis: backward } = view.orientation;
+        let horizon = Horizon::new(view.eye, inscribed_radius);
         let normals = [
             right - right_tangent * backward,
             -right - right_tangent * backward,
@@ -97,7 +101,8 @@ impl Lens {
             pixels_per_tangent: height / (2.0 * up_tangent),
             corner_cosine: (1.0 + up_tangent.powi(2) + right_tangent.powi(2)).sqrt().recip(),
             down_cosine: greatest_cosine(&normals, &corners, -view.eye.normalize_or_zero()),
-            horizon: Horizon::new(view.eye, inscribed_radius),
+            horizon,
+            before: horizon.map(|horizon| horizon.before(greatest_radius)),
         }
     }
 
@@ -115,6 +120,12 @@ impl Lens {
         let along = bounds.nearest_along(self.axis) - self.axis.dot(self.eye);
         let reach = (distance * cosine * cosine).max(along * cosine);
         Sight { distance, reach }
+    }
+
+    /// As [`Self::sight_of_box`], less exact, and sooner.
+    pub(crate) fn rough_sight_of_box(&self, bounds: &Aabb) -> Sight {
+        let distance = bounds.distance_from(self.eye);
+        Sight { distance, reach: distance * self.corner_cosine * self.corner_cosine }
     }
 
     /// How near a box is to the view, and with it what lies in it.
@@ -184,11 +195,9 @@ impl Lens {
         })
     }
 
-    /// Whether a box, of which nothing is farther than `greatest_radius` from the body's center, is
-    /// out of sight.
-    pub(crate) fn misses_box(&self, bounds: &Aabb, greatest_radius: Meters) -> bool {
-        self.horizon.is_some_and(|horizon| horizon.hides_box(bounds, greatest_radius))
-            || bounds.outside(&self.frustum)
+    /// Whether a box around terrain is out of sight.
+    pub(crate) fn misses_box(&self, bounds: &Aabb) -> bool {
+        bounds.outside(self.before.as_slice()) || bounds.outside(&self.frustum)
     }
 
     /// How large a length can be on the screen, at a reach: `ARCHITECTURE.md`, the error on the
@@ -234,7 +243,7 @@ mod tests {
             viewport: [1600, 900],
             tolerance_px: 1.0,
         };
-        let lens = Lens::new(&view, Meters(1.0));
+        let lens = Lens::new(&view, [Meters(1.0); 2]);
         let screen = |point: DVec3| {
             let seen = view.orientation.transpose() * (point - view.eye);
             glam::DVec2::new(seen.x, seen.y) / -seen.z * lens.pixels_per_tangent
@@ -275,7 +284,7 @@ mod tests {
                 viewport: [1600, 900],
                 tolerance_px: 1.0,
             };
-            let lens = Lens::new(&view, Meters(1.0));
+            let lens = Lens::new(&view, [Meters(1.0); 2]);
             let up = (view.vertical_fov.0 / 2.0).tan();
             let right = up * 1600.0 / 900.0;
             let grid = (0..=200).flat_map(|x| (0..=200).map(move |y| (x, y)));

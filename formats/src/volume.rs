@@ -77,15 +77,20 @@ impl Horizon {
     /// the formula is the cosine of that sum, times ρ.
     #[must_use]
     fn hides(&self, along: f64, greatest_radius: f64) -> bool {
-        let over = (greatest_radius * greatest_radius - self.radius2).max(0.0).sqrt();
-        along < self.plane - self.sine * over
+        along < self.hidden_below(greatest_radius)
     }
 
-    /// Whether the sphere hides a box, of which nothing is farther than `greatest_radius` from the
-    /// body's center.
+    fn hidden_below(&self, greatest_radius: f64) -> f64 {
+        let over = (greatest_radius * greatest_radius - self.radius2).max(0.0).sqrt();
+        self.plane - self.sine * over
+    }
+
+    /// The half space that holds whatever may be seen of things no farther than `greatest_radius`
+    /// from the body's center.
     #[must_use]
-    pub fn hides_box(&self, bounds: &Aabb, greatest_radius: Meters) -> bool {
-        self.hides(bounds.farthest_along(self.toward_eye), greatest_radius.0)
+    pub fn before(&self, greatest_radius: Meters) -> HalfSpace {
+        let offset = self.hidden_below(greatest_radius.0);
+        HalfSpace { normal: self.toward_eye, offset }
     }
 }
 
@@ -158,6 +163,26 @@ impl Volume {
     pub fn distance_from(&self, eye: DVec3) -> Meters {
         let above = eye.length() - self.greatest_radius;
         Meters(self.bounds.distance_from(eye).max(above))
+    }
+
+    /// What of it lies in each quarter of the box, cut across its two longer edges.
+    #[must_use]
+    pub fn quarters(&self) -> [Self; 4] {
+        let OrientedBox { center, axes, half } = self.bounds;
+        let shortest = half.to_array().iter().position(|edge| *edge == half.min_element());
+        let [one, other] = match shortest {
+            Some(0) => [1, 2],
+            Some(1) => [2, 0],
+            // So it is where edges are no numbers.
+            _ => [0, 1],
+        };
+        [(-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)].map(|(to_one, to_other)| {
+            let (mut shift, mut half) = (DVec3::ZERO, half);
+            (shift[one], shift[other]) = (to_one * half[one], to_other * half[other]);
+            (half[one], half[other]) = (0.5 * half[one], 0.5 * half[other]);
+            let bounds = OrientedBox { center: center + axes * shift, axes, half };
+            Self { bounds, ..*self }
+        })
     }
 
     /// Whether `horizon` hides all of it.

@@ -125,6 +125,37 @@ fn volumes_hold_their_points() {
     }
 }
 
+/// Each point is in a quarter, or between two, and quarters of quarters are as small as they should be.
+#[test]
+fn quarters_hold_what_the_whole_holds() {
+    for (name, grid) in grids() {
+        for page in pages(&grid).into_iter().step_by(7) {
+            let [lowest, highest] = TERRAIN.map(Meters);
+            let volume = Volume::new(&grid, page, lowest, highest);
+            let quarters = volume.quarters();
+            let rounding = 1e-9 * grid.crs().body.a().0;
+            for point in points(&grid, page, TERRAIN, 9) {
+                let nearest = quarters
+                    .iter()
+                    .map(|quarter| quarter.bounds().distance_from(point))
+                    .fold(f64::INFINITY, f64::min);
+                assert!(nearest <= rounding, "{name} {page}: {point} is {nearest} m outside");
+            }
+            let [mut edges, mut halved] =
+                [volume, quarters[0]].map(|volume| volume.bounds().half.to_array());
+            edges.sort_by(f64::total_cmp);
+            halved.sort_by(f64::total_cmp);
+            let mut expected = [edges[0], 0.5 * edges[1], 0.5 * edges[2]];
+            expected.sort_by(f64::total_cmp);
+            assert_eq!(halved, expected, "{name} {page}");
+            for quarter in quarters {
+                assert_eq!(quarter.bounds().half, quarters[0].bounds().half);
+                assert_eq!(quarter.greatest_radius(), volume.greatest_radius());
+            }
+        }
+    }
+}
+
 /// The box's radius against that of the sphere around the same center that the points need, and
 /// how much of the box's thickness is empty.
 #[test]

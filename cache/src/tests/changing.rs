@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use super::*;
 use crate::open::newcomer;
+use crate::scene::Node;
 
 const PLENTY: usize = 64 << 20;
 
@@ -186,8 +187,13 @@ fn the_tree_over_datasets_follows_all_changes() {
         assert!(scene.datasets.is_sorted_by_key(|dataset| dataset.number));
         for (place, dataset) in scene.datasets.iter().enumerate() {
             assert_eq!(scene.place(dataset.number), Some(place));
+            let bounds = scene.tree.get(dataset.slot).unwrap();
+            assert!(dataset.roots.iter().all(|root| bounds.contains(&root.volume.aabb())));
+            let slot = scene.slots[dataset.slot as usize];
+            let largest = dataset.roots.iter().map(Node::extent_m).fold(0.0, f64::max);
+            assert_eq!((slot.place, slot.extent_m), (place, largest));
         }
     }
     assert_eq!(scene.generation, 300);
-    assert!(scene.datasets.len() <= 14);
+    assert!(scene.datasets.len() <= 14 && scene.slots.len() <= 14);
 }

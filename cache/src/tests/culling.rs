@@ -67,7 +67,7 @@ fn is_seen(scene: &Scene, view: &View, point: DVec3) -> bool {
     let seen = view.orientation.transpose() * (point - view.eye);
     let ahead = -seen.z;
     let in_frustum = ahead > 0.0 && seen.x.abs() <= right * ahead && seen.y.abs() <= up * ahead;
-    in_frustum && !hidden(view.eye, point, scene.inscribed_radius().0)
+    in_frustum && !hidden(view.eye, point, scene.radii()[0].0)
 }
 
 fn wanted_over(found: &Found, dataset: usize, page: PageAddress) -> Option<usize> {
@@ -210,7 +210,7 @@ fn what_is_seen_is_no_nearer_than_its_sight() {
                 95.0 * chance(15),
             )
         };
-        let lens = crate::view::Lens::new(&view, scene.inscribed_radius());
+        let lens = crate::view::Lens::new(&view, scene.radii());
         for (place, dataset) in [globe, cap].into_iter().enumerate() {
             for entry in &dataset.entries {
                 let sight = lens.sight(&scene.datasets[place].node(*entry).volume);
