@@ -27,8 +27,8 @@ pub(crate) struct Scene {
     numbers: Vec<usize>,
     /// Over the root volumes, by slot.
     pub(crate) tree: Bvh,
-    /// By slot: what is there, as a search goes through thousands of them.
-    pub(crate) slots: Vec<Slot>,
+    /// By slot: a dataset's place in `datasets`.
+    pub(crate) slots: Vec<usize>,
     /// Slots of datasets that are gone, for others.
     free: Vec<u32>,
     body: Body,
@@ -38,15 +38,6 @@ pub(crate) struct Scene {
     next: u32,
     /// Changes of the tree since it was built anew.
     changes: usize,
-}
-
-/// A dataset as the tree sees it: small, and beside others.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Slot {
-    /// Its place in [`Scene::datasets`].
-    pub(crate) place: usize,
-    /// The greatest diagonal of one of its roots, in meters.
-    pub(crate) extent_m: f64,
 }
 
 /// A dataset as the search sees it.
@@ -133,7 +124,7 @@ impl Scene {
             let heights = scene.heights;
             for dataset in scene.datasets.iter_mut().filter(|dataset| dataset.is_laid_on()) {
                 let moved = dataset.on(heights);
-                scene.tree.insert(moved.slot, moved.bounds());
+                moved.plant(&mut scene.tree);
                 scene.changes += 1;
                 *dataset = Arc::new(moved);
             }
@@ -143,15 +134,14 @@ impl Scene {
             scene.next = scene.next.checked_add(1).expect("fewer than 2^32 datasets ever");
             let slot = scene.free.pop().unwrap_or_else(|| scene.add_slot());
             let dataset = Dataset::new(number, slot, info, pages, roots, scene.heights);
-            scene.tree.insert(slot, dataset.bounds());
+            dataset.plant(&mut scene.tree);
             scene.changes += 1;
             scene.datasets.push(Arc::new(dataset));
         }
         scene.numbers.clear();
         scene.numbers.extend(scene.datasets.iter().map(|dataset| dataset.number));
         for (place, dataset) in scene.datasets.iter().enumerate() {
-            let extent_m = dataset.roots.iter().map(Node::extent_m).fold(0.0, f64::max);
-            scene.slots[dataset.slot as usize] = Slot { place, extent_m };
+            scene.slots[dataset.slot as usize] = place;
         }
         scene.keep_tree();
         scene
@@ -162,7 +152,10 @@ impl Scene {
         const FEW: usize = 64;
         if self.changes > FEW.max(self.datasets.len() / 2) {
             let boxes = self.datasets.iter().map(|dataset| (dataset.slot, dataset.bounds()));
-            let fresh = Bvh::build(boxes);
+            let mut fresh = Bvh::build(boxes);
+            for dataset in &self.datasets {
+                fresh.set_extent(dataset.slot, dataset.extent_m());
+            }
             if fresh.cost() < self.tree.cost() {
                 self.tree = fresh;
             }
@@ -171,7 +164,7 @@ impl Scene {
     }
 
     fn add_slot(&mut self) -> u32 {
-        self.slots.push(Slot { place: 0, extent_m: 0.0 });
+        self.slots.push(0);
         u32::try_from(self.slots.len() - 1).expect("fewer than 2^32 datasets")
     }
 
@@ -248,6 +241,17 @@ impl Dataset {
 
     fn bounds(&self) -> Aabb {
         self.roots.iter().fold(Aabb::EMPTY, |whole, root| whole.union(&root.volume.aabb()))
+    }
+
+    /// The greatest diagonal of one of its roots, in meters.
+    pub(crate) fn extent_m(&self) -> f64 {
+        self.roots.iter().map(Node::extent_m).fold(0.0, f64::max)
+    }
+
+    /// Puts it into a tree.
+    fn plant(&self, tree: &mut Bvh) {
+        tree.insert(self.slot, self.bounds());
+        tree.set_extent(self.slot, self.extent_m());
     }
 
     /// The terrain that its volumes depend on.

@@ -20,13 +20,12 @@
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use areoid_formats::bounds::Aabb;
 use areoid_formats::bvh::{Branch, Parts};
 use areoid_formats::page::Kind;
 use areoid_formats::volume::Volume;
 
 use crate::memo::{Memo, Verdict};
-use crate::scene::{Node, Scene, Slot};
+use crate::scene::{Node, Scene};
 use crate::view::{Lens, Sight, View};
 
 /// A page in sight.
@@ -80,7 +79,7 @@ enum Step {
     Refine,
     /// `place` is one in `roots`.
     Draw,
-    /// `place` is a dataset's.
+    /// `place` is a dataset's slot.
     Open,
     /// `place` is a branch of the tree over the datasets.
     Climb,
@@ -112,7 +111,7 @@ pub(crate) fn search(
     while let Some(Candidate { pixels, place, step }) = found.heap.pop() {
         match step {
             Step::Climb => search.take_apart(place, found),
-            Step::Open => search.open(place, found),
+            Step::Open => search.open(scene.slots[place], found),
             Step::Draw => {
                 let root = &found.roots[place];
                 let more = scene.datasets[root.dataset].page_bytes(&root.node.entry);
@@ -154,18 +153,13 @@ impl Search<'_> {
     fn climb(&self, branch: usize, found: &mut Found) {
         found.visited += 1;
         let Branch { bounds, largest_m, parts } = self.scene.tree.branch(branch);
-        let in_sight = self.lenses.iter().map(|lens| (lens, !lens.misses_box(&bounds)));
-        let sights = |sight: fn(&Lens, &Aabb) -> Sight| {
-            in_sight.map(move |(lens, seen)| if seen { sight(lens, &bounds) } else { Sight::NONE })
-        };
-        let (pixels, place, step) = match parts {
-            Parts::Branches(_) => {
-                (self.worst(largest_m, sights(Lens::rough_sight_of_box)), branch, Step::Climb)
-            }
-            Parts::Item(slot) => {
-                let Slot { place, extent_m } = self.scene.slots[slot as usize];
-                (self.worst(extent_m, sights(Lens::sight_of_box)), place, Step::Open)
-            }
+        let sights = self.lenses.iter().map(|lens| {
+            if lens.misses_box(&bounds) { Sight::NONE } else { lens.sight_of_box(&bounds) }
+        });
+        let pixels = self.worst(largest_m, sights);
+        let (place, step) = match parts {
+            Parts::Branches(_) => (branch, Step::Climb),
+            Parts::Item(slot) => (slot as usize, Step::Open),
         };
         if pixels >= Lens::SMALLEST_PX {
             found.heap.push(Candidate { pixels, place, step });

@@ -122,12 +122,6 @@ impl Lens {
         Sight { distance, reach }
     }
 
-    /// As [`Self::sight_of_box`], less exact, and sooner.
-    pub(crate) fn rough_sight_of_box(&self, bounds: &Aabb) -> Sight {
-        let distance = bounds.distance_from(self.eye);
-        Sight { distance, reach: distance * self.corner_cosine * self.corner_cosine }
-    }
-
     /// How near a box is to the view, and with it what lies in it.
     pub(crate) fn sight_of_box(&self, bounds: &Aabb) -> Sight {
         let distance = bounds.distance_from(self.eye);

@@ -43,7 +43,7 @@ pub struct Bvh {
 #[derive(Clone, Copy, Debug)]
 struct Node {
     bounds: Aabb,
-    /// The greatest diagonal of the boxes of the items below, in meters.
+    /// The greatest extent of the items below, in meters.
     largest_m: f64,
     parent: Option<usize>,
     content: Content,
@@ -60,7 +60,8 @@ enum Content {
 pub struct Branch {
     /// A box around all of its items.
     pub bounds: Aabb,
-    /// The greatest diagonal of one of their boxes, in meters.
+    /// The greatest extent of one of them, in meters: the diagonal of its box, or what
+    /// [`Bvh::set_extent`] was told.
     pub largest_m: f64,
     /// What it is made of.
     pub parts: Parts,
@@ -196,6 +197,20 @@ impl Bvh {
         self.nodes[sibling].parent = Some(above);
         self.nodes[leaf].parent = Some(above);
         self.refit(parent);
+    }
+
+    /// Says how large an item is, in meters, if that is not the diagonal of its box: until it is inserted
+    /// anew, and not in what is written down. Of an item that is not in the tree nothing is noted.
+    pub fn set_extent(&mut self, item: u32, extent_m: f64) {
+        let Some(&leaf) = self.leaves.get(&item) else { return };
+        self.nodes[leaf].largest_m = extent_m;
+        let mut next = self.nodes[leaf].parent;
+        while let Some(index) = next {
+            if let Content::Inner([one, other]) = self.nodes[index].content {
+                self.nodes[index] = self.around([one, other], self.nodes[index].parent);
+            }
+            next = self.nodes[index].parent;
+        }
     }
 
     /// Removes a box; whether there was one.

@@ -6,41 +6,36 @@ use crate::bounds::Aabb;
 /// Boxes that still want a subtree, and where it hangs.
 struct Pending {
     items: Vec<(u32, Aabb)>,
+    index: usize,
     parent: Option<usize>,
 }
 
+/// Siblings lie side by side: whoever looks at one looks at the other.
 pub(super) fn build(items: Vec<(u32, Aabb)>) -> Bvh {
     let mut tree = Bvh::default();
-    let mut pending = vec![Pending { items, parent: None }];
-    while let Some(Pending { mut items, parent }) = pending.pop() {
+    let Some(&(item, bounds)) = items.first() else { return tree };
+    // Room for a node that is not known yet.
+    let blank = Node::leaf(item, bounds);
+    tree.nodes.push(blank);
+    tree.root = Some(0);
+    let mut pending = vec![Pending { items, index: 0, parent: None }];
+    while let Some(Pending { mut items, index, parent }) = pending.pop() {
+        if let &[(item, bounds)] = items.as_slice() {
+            tree.nodes[index] = Node { parent, ..Node::leaf(item, bounds) };
+            tree.leaves.insert(item, index);
+            continue;
+        }
         let bounds = items.iter().fold(Aabb::EMPTY, |all, (_, one)| all.union(one));
         let diagonals = items.iter().map(|(_, one)| one.diagonal());
         let largest_m = diagonals.fold(0.0, f64::max);
-        let index = tree.nodes.len();
-        match items.as_slice() {
-            [] => return tree,
-            &[(item, bounds)] => {
-                tree.nodes.push(Node { parent, ..Node::leaf(item, bounds) });
-                tree.leaves.insert(item, index);
-            }
-            _ => {
-                let right = split(&mut items);
-                // The children put themselves in their places.
-                let content = Content::Inner([index; 2]);
-                tree.nodes.push(Node { bounds, largest_m, parent, content });
-                pending.push(Pending { items: right, parent: Some(index) });
-                pending.push(Pending { items, parent: Some(index) });
-            }
-        }
-        match parent {
-            None => tree.root = Some(index),
-            Some(parent) => {
-                if let Content::Inner(children) = &mut tree.nodes[parent].content {
-                    let place = usize::from(children[0] != parent);
-                    children[place] = index;
-                }
-            }
-        }
+        let right = split(&mut items);
+        let first = tree.nodes.len();
+        tree.nodes.extend([blank; 2]);
+        let content = Content::Inner([first, first + 1]);
+        tree.nodes[index] = Node { bounds, largest_m, parent, content };
+        let parent = Some(index);
+        pending.push(Pending { items: right, index: first + 1, parent });
+        pending.push(Pending { items, index: first, parent });
     }
     tree
 }
