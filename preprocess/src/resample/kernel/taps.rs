@@ -15,7 +15,10 @@ use super::super::window::View;
 use super::weights::Pieces;
 
 /// Texels that are computed at once.
-const ROW: usize = 64;
+pub(super) const ROW: usize = 64;
+
+/// Adding it leaves a whole number in the lowest bits.
+pub(super) const ROUNDER: f64 = 6_755_399_441_055_744.0;
 
 /// Where the taps of a row of texels begin, and what their weights depend on.
 struct Spots {
@@ -28,16 +31,15 @@ struct Spots {
 }
 
 impl Spots {
-    /// For taps that begin `before` pixels before the one beside a texel.
+    /// For taps that begin `before` pixels before the one beside a texel, which is `later` pixels
+    /// farther along both axes.
     #[inline(always)]
-    fn new(u: &[f64; ROW], v: &[f64; ROW], view: View<'_>, before: i64) -> Self {
-        // Adding it leaves a whole number in the lowest bits.
-        const ROUNDER: f64 = 6_755_399_441_055_744.0;
+    fn new(u: &[f64; ROW], v: &[f64; ROW], view: View<'_>, before: i64, later: f64) -> Self {
         let (col, row) = ((view.col + before) as f64, (view.row + before) as f64);
         let stride = view.stride as f64;
         let mut spots = Self { at: [0; ROW], u: [0.0; ROW], v: [0.0; ROW] };
         for lane in 0..ROW {
-            let (u, v) = (u[lane] - col, v[lane] - row);
+            let (u, v) = ((u[lane] + later) - col, (v[lane] + later) - row);
             let (col, row) = (u.floor(), v.floor());
             #[expect(clippy::cast_possible_truncation, reason = "fractions; the lowest bits")]
             {
@@ -56,6 +58,18 @@ fn padded(coords: &[f64]) -> [f64; ROW] {
     let mut row = [coords[coords.len() - 1]; ROW];
     row[..coords.len()].copy_from_slice(coords);
     row
+}
+
+/// A row of coordinates as it is if it is full, else padded into `room`.
+#[inline(always)]
+pub(super) fn full<'a>(coords: &'a [f64], room: &'a mut [f64; ROW]) -> &'a [f64; ROW] {
+    match coords.try_into() {
+        Ok(row) => row,
+        Err(_) => {
+            *room = padded(coords);
+            room
+        }
+    }
 }
 
 /// Work on texels whose coordinates are `u` and `v`, `ROW` by `ROW`.
@@ -78,9 +92,12 @@ impl<T: Texels> Wide for Rows<'_, T> {
     fn run(self) {
         let Self { texels, u, v, out } = self;
         let rows = u.chunks(ROW).zip(v.chunks(ROW)).zip(out.chunks_mut(ROW));
+        let mut room = [[0.0; ROW]; 2];
         for ((u, v), out) in rows {
+            let [room_u, room_v] = &mut room;
+            let (u, v) = (full(u, room_u), full(v, room_v));
             let mut row = [0.0; ROW];
-            texels.row(&padded(u), &padded(v), &mut row);
+            texels.row(u, v, &mut row);
             out.copy_from_slice(&row[..out.len()]);
         }
     }
@@ -102,14 +119,11 @@ pub(super) fn nearest(u: &[f64], v: &[f64], view: View<'_>, each: impl FnMut(&[u
         #[inline(always)]
         fn run(self) {
             let Self { u, v, view, mut each } = self;
-            for (u, v) in u.chunks(ROW).zip(v.chunks(ROW)) {
-                let count = u.len();
-                let (mut u, mut v) = (padded(u), padded(v));
-                for texel in 0..ROW {
-                    u[texel] += 0.5;
-                    v[texel] += 0.5;
-                }
-                each(&Spots::new(&u, &v, view, 0).at[..count]);
+            let mut room = [[0.0; ROW]; 2];
+            for (us, vs) in u.chunks(ROW).zip(v.chunks(ROW)) {
+                let [room_u, room_v] = &mut room;
+                let (u, v) = (full(us, room_u), full(vs, room_v));
+                each(&Spots::new(u, v, view, 0, 0.5).at[..us.len()]);
             }
         }
     }
@@ -132,7 +146,7 @@ struct Bilinear<'a> {
 impl Texels for Bilinear<'_> {
     #[inline(always)]
     fn row(&self, u: &[f64; ROW], v: &[f64; ROW], out: &mut [f32; ROW]) {
-        let spots = Spots::new(u, v, self.view, 0);
+        let spots = Spots::new(u, v, self.view, 0, 0.0);
         let stride = self.view.stride;
         let [mut a, mut b, mut c, mut d] = [[0.0_f32; ROW]; 4];
         for lane in 0..ROW {
@@ -180,7 +194,7 @@ impl<const PAIRS: usize, const TERMS: usize, const LOAD: usize> Texels
 {
     #[inline(always)]
     fn row(&self, u: &[f64; ROW], v: &[f64; ROW], out: &mut [f32; ROW]) {
-        let spots = Spots::new(u, v, self.view, PAIRS as i64 - 1);
+        let spots = Spots::new(u, v, self.view, PAIRS as i64 - 1, 0.0);
         let stride = self.view.stride;
         let [mut across, mut down] = [[[0.0_f32; ROW]; LOAD]; 2];
         self.pieces.at(&spots.u, &mut across);

@@ -4,6 +4,7 @@ use areoid_formats::lanes::{self, Wide};
 
 use super::super::tile::Coords;
 use super::super::window::View;
+use super::taps::{ROUNDER, ROW, full};
 
 /// Taps that are summed at once.
 pub(super) const LOAD: usize = 8;
@@ -70,31 +71,96 @@ impl<A: Axis> Wide for Texels<'_, A> {
 
     #[inline(always)]
     fn run(self) {
+        // What is left of a vector that is hardly used takes as long as the rest.
+        if self.axes[0].reach() <= 2 { self.run_with::<4>() } else { self.run_with::<LOAD>() }
+    }
+}
+
+impl<A: Axis> Texels<'_, A> {
+    /// Sums the first `LANES` of each chunk of taps, behind which there are none.
+    #[inline(always)]
+    fn run_with<const LANES: usize>(self) {
         let Self { axes, coords, view, room, out } = self;
-        let [left, above] = axes.map(|axis| (1 - axis.reach()) as f64);
-        let rows = usize::try_from(2 * axes[1].reach()).expect("not negative");
+        let [cols_before, rows_before] =
+            axes.map(|axis| usize::try_from(axis.reach() - 1).expect("a kernel has taps"));
+        let (last, stride) = (2 * rows_before + 1, view.stride);
+        let center = rows_before * stride + cols_before;
         let [across, down] = room.of(axes);
-        for ((&u, &v), out) in coords.u.iter().zip(&coords.v).zip(out) {
-            let (col, row) = (u.floor(), v.floor());
-            axes[0].weights(u - col, across);
-            axes[1].weights(v - row, down);
-            let beside = view.data[view.index(col, row)];
-            let first = view.index(col + left, row + above);
-            let mut sums = [0.0_f32; LOAD];
-            for (chunk, weights) in across.iter().enumerate() {
-                let mut columns = [0.0_f32; LOAD];
-                for (row, &weight) in down.as_flattened()[..rows].iter().enumerate() {
-                    let at = first + row * view.stride + chunk * LOAD;
-                    let taps = &view.data[at..at + LOAD];
-                    for lane in 0..LOAD {
-                        columns[lane] += (taps[lane] - beside) * weight;
+        let length = last * stride + (across.len() - 1) * LOAD + LANES;
+        let mut padding = [[0.0; ROW]; 2];
+        for ((us, vs), out) in
+            coords.u.chunks(ROW).zip(coords.v.chunks(ROW)).zip(out.chunks_mut(ROW))
+        {
+            let [padding_u, padding_v] = &mut padding;
+            let spots = Spots::new(
+                full(us, padding_u),
+                full(vs, padding_v),
+                view,
+                [cols_before, rows_before],
+            );
+            let (mut beside, mut sums) = ([0.0_f32; ROW], [[0.0_f32; LANES]; ROW]);
+            for texel in 0..out.len() {
+                axes[0].weights(spots.right[texel], across);
+                axes[1].weights(spots.down[texel], down);
+                let taps = &view.data[spots.at[texel] as usize..][..length];
+                let here = taps[center];
+                for (chunk, weights) in across.iter().enumerate() {
+                    let mut columns = [0.0_f32; LANES];
+                    for (row, &weight) in down.as_flattened()[..=last].iter().enumerate() {
+                        let line = line::<LANES>(taps, row * stride + chunk * LOAD);
+                        for lane in 0..LANES {
+                            columns[lane] += (line[lane] - here) * weight;
+                        }
+                    }
+                    for lane in 0..LANES {
+                        sums[texel][lane] += columns[lane] * weights[lane];
                     }
                 }
-                for lane in 0..LOAD {
-                    sums[lane] += columns[lane] * weights[lane];
-                }
+                beside[texel] = here;
             }
-            *out = beside + sums.iter().sum::<f32>();
+            for (out, (beside, sums)) in out.iter_mut().zip(beside.iter().zip(&sums)) {
+                let mut sum = 0.0;
+                for &lane in sums {
+                    sum += lane;
+                }
+                *out = beside + sum;
+            }
         }
     }
+}
+
+/// Where the taps of a row of texels begin, and how far the texels lie behind the last tap of the
+/// first half.
+struct Spots {
+    /// Indices of the first tap of the first row.
+    at: [u32; ROW],
+    /// Along columns, 0 to 1.
+    right: [f64; ROW],
+    /// Along rows.
+    down: [f64; ROW],
+}
+
+impl Spots {
+    /// For taps that begin so many columns and rows `before` the pixel beside a texel.
+    #[inline(always)]
+    fn new(u: &[f64; ROW], v: &[f64; ROW], view: View<'_>, before: [usize; 2]) -> Self {
+        let [left, above] = before.map(|before| before as f64);
+        let (left, above) = (left + view.col as f64, above + view.row as f64);
+        let stride = view.stride as f64;
+        let mut spots = Self { at: [0; ROW], right: [0.0; ROW], down: [0.0; ROW] };
+        for lane in 0..ROW {
+            let (col, row) = (u[lane].floor(), v[lane].floor());
+            (spots.right[lane], spots.down[lane]) = (u[lane] - col, v[lane] - row);
+            let index = (row - above) * stride + (col - left);
+            #[expect(clippy::cast_possible_truncation, reason = "the lowest bits")]
+            let index = (index + ROUNDER).to_bits() as u32;
+            spots.at[lane] = index;
+        }
+        spots
+    }
+}
+
+#[inline(always)]
+fn line<const LANES: usize>(taps: &[f32], at: usize) -> &[f32; LANES] {
+    taps[at..at + LANES].try_into().expect("that many")
 }
