@@ -144,7 +144,9 @@ fn lay<S>(
     for (texel, sample) in row.iter_mut().zip(samples) {
         let (height, valid) = height(sample);
         let valid = valid & height.is_finite();
-        *texel = if valid { height } else { *texel };
+        // A choice by bits: stores of some lanes alone are slow.
+        let chosen = 0_u32.wrapping_sub(u32::from(valid));
+        *texel = f32::from_bits(height.to_bits() & chosen | texel.to_bits() & !chosen);
         written += u32::from(valid);
     }
     written as usize

@@ -72,48 +72,51 @@ impl<A: Axis> Wide for Texels<'_, A> {
     #[inline(always)]
     fn run(self) {
         // What is left of a vector that is hardly used takes as long as the rest.
-        if self.axes[0].reach() <= 2 { self.run_with::<4>() } else { self.run_with::<LOAD>() }
+        match (self.axes[0].reach(), self.axes[0].chunks()) {
+            (..=2, _) => self.run_with::<4, 4>(),
+            (_, 2) => self.run_with::<LOAD, { 2 * LOAD }>(),
+            _ => self.run_with::<LOAD, LOAD>(),
+        }
     }
 }
 
 impl<A: Axis> Texels<'_, A> {
-    /// Sums the first `LANES` of each chunk of taps, behind which there are none.
+    /// Sums `WIDTH` taps of a row at once, of them those that are `LANES` apart one after another.
     #[inline(always)]
-    fn run_with<const LANES: usize>(self) {
+    fn run_with<const LANES: usize, const WIDTH: usize>(self) {
         let Self { axes, coords, view, room, out } = self;
         let [cols_before, rows_before] =
             axes.map(|axis| usize::try_from(axis.reach() - 1).expect("a kernel has taps"));
         let (last, stride) = (2 * rows_before + 1, view.stride);
         let center = rows_before * stride + cols_before;
         let [across, down] = room.of(axes);
-        let length = last * stride + (across.len() - 1) * LOAD + LANES;
+        let columns_in_all = if WIDTH < LOAD { WIDTH } else { across.len() * LOAD };
+        let length = last * stride + columns_in_all;
         let mut padding = [[0.0; ROW]; 2];
         for ((us, vs), out) in
             coords.u.chunks(ROW).zip(coords.v.chunks(ROW)).zip(out.chunks_mut(ROW))
         {
             let [padding_u, padding_v] = &mut padding;
-            let spots = Spots::new(
-                full(us, padding_u),
-                full(vs, padding_v),
-                view,
-                [cols_before, rows_before],
-            );
+            let (us, vs) = (full(us, padding_u), full(vs, padding_v));
+            let spots = Spots::new(us, vs, view, [cols_before, rows_before]);
             let (mut beside, mut sums) = ([0.0_f32; ROW], [[0.0_f32; LANES]; ROW]);
             for texel in 0..out.len() {
                 axes[0].weights(spots.right[texel], across);
                 axes[1].weights(spots.down[texel], down);
                 let taps = &view.data[spots.at[texel] as usize..][..length];
                 let here = taps[center];
-                for (chunk, weights) in across.iter().enumerate() {
-                    let mut columns = [0.0_f32; LANES];
-                    for (row, &weight) in down.as_flattened()[..=last].iter().enumerate() {
-                        let line = line::<LANES>(taps, row * stride + chunk * LOAD);
-                        for lane in 0..LANES {
-                            columns[lane] += (line[lane] - here) * weight;
+                let weights = across.as_flattened()[..columns_in_all].as_chunks::<WIDTH>().0;
+                for (chunk, weights) in weights.iter().enumerate() {
+                    let mut columns = [0.0_f32; WIDTH];
+                    let lines = taps[chunk * WIDTH..].chunks(stride);
+                    for (line, &weight) in lines.zip(&down.as_flattened()[..=last]) {
+                        let line: &[f32; WIDTH] = line[..WIDTH].try_into().expect("that many");
+                        for col in 0..WIDTH {
+                            columns[col] += (line[col] - here) * weight;
                         }
                     }
-                    for lane in 0..LANES {
-                        sums[texel][lane] += columns[lane] * weights[lane];
+                    for col in 0..WIDTH {
+                        sums[texel][col % LANES] += columns[col] * weights[col];
                     }
                 }
                 beside[texel] = here;
@@ -158,9 +161,4 @@ impl Spots {
         }
         spots
     }
-}
-
-#[inline(always)]
-fn line<const LANES: usize>(taps: &[f32], at: usize) -> &[f32; LANES] {
-    taps[at..at + LANES].try_into().expect("that many")
 }
