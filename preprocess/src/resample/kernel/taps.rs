@@ -82,7 +82,12 @@ struct Rows<'a, T> {
 
 /// What is done with a row of texels.
 trait Texels {
-    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], out: &mut [f32; ROW]);
+    /// Memory that rows use again.
+    type Room;
+
+    fn room() -> Self::Room;
+
+    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], room: &mut Self::Room, out: &mut [f32; ROW]);
 }
 
 impl<T: Texels> Wide for Rows<'_, T> {
@@ -92,13 +97,14 @@ impl<T: Texels> Wide for Rows<'_, T> {
     fn run(self) {
         let Self { texels, u, v, out } = self;
         let rows = u.chunks(ROW).zip(v.chunks(ROW)).zip(out.chunks_mut(ROW));
-        let mut room = [[0.0; ROW]; 2];
+        let (mut room, mut padding) = (T::room(), [[0.0; ROW]; 2]);
         for ((u, v), out) in rows {
-            let [room_u, room_v] = &mut room;
-            let (u, v) = (full(u, room_u), full(v, room_v));
+            let [padding_u, padding_v] = &mut padding;
+            let (u, v) = (full(u, padding_u), full(v, padding_v));
             let mut row = [0.0; ROW];
             let is_full = out.len() == ROW;
-            texels.row(u, v, if is_full { out.try_into().expect("a row") } else { &mut row });
+            let to = if is_full { out.try_into().expect("a row") } else { &mut row };
+            texels.row(u, v, &mut room, to);
             if !is_full {
                 out.copy_from_slice(&row[..out.len()]);
             }
@@ -122,10 +128,10 @@ pub(super) fn nearest(u: &[f64], v: &[f64], view: View<'_>, each: impl FnMut(&[u
         #[inline(always)]
         fn run(self) {
             let Self { u, v, view, mut each } = self;
-            let mut room = [[0.0; ROW]; 2];
+            let mut padding = [[0.0; ROW]; 2];
             for (us, vs) in u.chunks(ROW).zip(v.chunks(ROW)) {
-                let [room_u, room_v] = &mut room;
-                let (u, v) = (full(us, room_u), full(vs, room_v));
+                let [padding_u, padding_v] = &mut padding;
+                let (u, v) = (full(us, padding_u), full(vs, padding_v));
                 each(&Spots::new(u, v, view, 0, 0.5).at[..us.len()]);
             }
         }
@@ -147,8 +153,12 @@ struct Bilinear<'a> {
 }
 
 impl Texels for Bilinear<'_> {
+    type Room = ();
+
+    fn room() {}
+
     #[inline(always)]
-    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], out: &mut [f32; ROW]) {
+    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], (): &mut (), out: &mut [f32; ROW]) {
         let spots = Spots::new(u, v, self.view, 0, 0.0);
         let stride = self.view.stride;
         let [mut a, mut b, mut c, mut d] = [[0.0_f32; ROW]; 4];
@@ -187,6 +197,18 @@ pub(super) fn separable<const PAIRS: usize, const TERMS: usize, const LOAD: usiz
     lanes::vectorized(Rows { texels, u, v, out });
 }
 
+/// What is known of a row of texels before its sums.
+struct Taps<const LOAD: usize> {
+    /// Weights of the columns of taps, and of the rows.
+    across: [[f32; ROW]; LOAD],
+    down: [[f32; ROW]; LOAD],
+    /// The pixels beside texels.
+    beside: [f32; ROW],
+    /// Sums along columns, stored and not summed at once: the compiler would take the sum's order
+    /// for the taps'.
+    columns: [[f32; LOAD]; ROW],
+}
+
 struct Separable<'a, const PAIRS: usize, const TERMS: usize, const LOAD: usize> {
     pieces: &'a Pieces<PAIRS, TERMS>,
     view: View<'a>,
@@ -195,18 +217,26 @@ struct Separable<'a, const PAIRS: usize, const TERMS: usize, const LOAD: usize> 
 impl<const PAIRS: usize, const TERMS: usize, const LOAD: usize> Texels
     for Separable<'_, PAIRS, TERMS, LOAD>
 {
+    type Room = Taps<LOAD>;
+
+    fn room() -> Taps<LOAD> {
+        Taps {
+            across: [[0.0; ROW]; LOAD],
+            down: [[0.0; ROW]; LOAD],
+            beside: [0.0; ROW],
+            columns: [[0.0; LOAD]; ROW],
+        }
+    }
+
     #[inline(always)]
-    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], out: &mut [f32; ROW]) {
+    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], room: &mut Taps<LOAD>, out: &mut [f32; ROW]) {
+        let Taps { across, down, beside, columns } = room;
         let spots = Spots::new(u, v, self.view, PAIRS as i64 - 1, 0.0);
         let stride = self.view.stride;
-        let [mut across, mut down] = [[[0.0_f32; ROW]; LOAD]; 2];
-        self.pieces.at(&spots.u, &mut across);
-        self.pieces.at(&spots.v, &mut down);
+        self.pieces.at(&spots.u, across);
+        self.pieces.at(&spots.v, down);
 
         let last = 2 * PAIRS - 1;
-        let mut beside = [0.0_f32; ROW];
-        // Stored and not summed at once: the compiler would take the sum's order for the taps'.
-        let mut columns = [[0.0_f32; LOAD]; ROW];
         for texel in 0..ROW {
             let taps = &self.view.data[spots.at[texel] as usize..][..last * stride + LOAD];
             let center = taps[(PAIRS - 1) * stride + PAIRS - 1];

@@ -1,13 +1,16 @@
 //! What pixels with a value make of one beside them that has none: see [`super::fill`].
 //!
 //! ```text
-//!     3   .   .   3   .   .   3      each of the eight neighbors goes on as it came, the sooner ones
-//!     .   2   .   2   .   2   .      in a row first, so that sums are the same whoever makes them
-//!     .   .   1   1   1   .   .
-//!     3   2   1   ?   1   2   3
+//!     c   .   .   c   .   .   c
+//!     .   b   .   b   .   b   .      each of the eight neighbors goes on as it came
+//!     .   .   a   a   a   .   .
+//!     c   b   a   ?   a   b   c
+//!     .   .   a   a   a   .   .      NaN marks what has no value
+//!     .   b   .   b   .   b   .
+//!     c   .   .   c   .   .   c
 //! ```
 //!
-//! NaN marks what has no value.
+//! Neighbors are summed row by row, so that sums are the same near an edge and inside.
 
 use areoid_formats::lanes::{self, Wide};
 

@@ -28,7 +28,7 @@ pub(super) const CUBIC_POLES: &[f32] = &[-0.267_949_2];
 pub(super) const QUINTIC_POLES: &[f32] = &[-0.430_575_35, -0.043_096_29];
 
 /// Columns that are filtered together: a strip of them stays in the nearest cache.
-const STRIP: usize = 16;
+const STRIP: usize = 32;
 
 /// Rows that are transposed and filtered together.
 const LANES: usize = 16;
