@@ -162,3 +162,71 @@ impl Spots {
         spots
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Weights without any order.
+    struct Uneven(i64);
+
+    impl Uneven {
+        fn weight(tap: usize, fraction: f64) -> f32 {
+            let base = (tap * 37 + 11) % 29;
+            #[expect(clippy::cast_possible_truncation, reason = "weights are f32")]
+            let moved = (fraction * (tap % 5) as f64) as f32;
+            base as f32 / 100.0 - moved / 50.0
+        }
+    }
+
+    impl Axis for Uneven {
+        fn reach(&self) -> i64 {
+            self.0
+        }
+
+        fn weights(&self, fraction: f64, out: &mut [[f32; LOAD]]) {
+            let taps = usize::try_from(2 * self.0).unwrap();
+            for (tap, out) in out.as_flattened_mut().iter_mut().enumerate() {
+                *out = if tap < taps { Self::weight(tap, fraction) } else { 0.0 };
+            }
+        }
+    }
+
+    /// Windows of 4, 8, 16 and more taps, with fewer texels than a row and more.
+    #[test]
+    fn texels_are_the_sums_of_all_their_taps() {
+        const PLACES: [(f64, f64); 3] = [(30.25, 31.5), (28.0, 29.75), (33.875, 27.0)];
+        let (side, stride) = (64, 64 + View::SLACK);
+        // What stands behind a row would show.
+        let value = |at: usize| if at % stride < side { (at * at % 1013) as f32 } else { 1e6 };
+        let data: Vec<f32> = (0..side * stride + View::SLACK).map(value).collect();
+        let view = View { data: &data, stride, col: -2, row: -1 };
+        for (reach_u, reach_v) in (1..=20).flat_map(|u| [(u, 1), (u, 2), (u, 7), (u, 20)]) {
+            let places = PLACES.into_iter().cycle().take(if reach_u % 2 == 0 { 3 } else { 131 });
+            let (u, v): (Vec<f64>, Vec<f64>) = places.unzip();
+            let mut out = vec![0.0; u.len()];
+            let coords = Coords { u, v, range: [28.0, 34.0, 27.0, 32.0] };
+            let axes = [&Uneven(reach_u), &Uneven(reach_v)];
+            sample(axes, &coords, view, &mut Room::default(), &mut out);
+            for ((&u, &v), &found) in coords.u.iter().zip(&coords.v).zip(&out) {
+                let at = |col: f64, row: f64| f64::from(data[view.index(col, row)]);
+                let (col, row) = (u.floor(), v.floor());
+                let beside = at(col, row);
+                let weights = |reach: i64, fraction: f64| {
+                    let taps = usize::try_from(2 * reach).unwrap();
+                    (0..taps).map(move |tap| f64::from(Uneven::weight(tap, fraction)))
+                };
+                let (mut wanted, mut size) = (beside, beside.abs());
+                for (down, below) in (1 - reach_v..).zip(weights(reach_v, v - row)) {
+                    for (across, right) in (1 - reach_u..).zip(weights(reach_u, u - col)) {
+                        let tap = at(col + across as f64, row + down as f64);
+                        let term = (tap - beside) * below * right;
+                        (wanted, size) = (wanted + term, size + term.abs());
+                    }
+                }
+                let off = (f64::from(found) - wanted).abs();
+                assert!(off < 1e-5 * size, "{reach_u} {reach_v}: {found} {wanted}");
+            }
+        }
+    }
+}
