@@ -2,6 +2,7 @@
 
 use super::interval::{Ends, Row, Terms, Texel};
 use super::{Child, LATTICE, Window, parent_taps, taps};
+use crate::lanes::{greatest, least};
 
 /// Finds the cells of a child beside holes, and puts their intervals right.
 pub(super) struct Holes<'a, S: Texel> {
@@ -15,7 +16,12 @@ pub(super) struct Holes<'a, S: Texel> {
     coarse: Vec<u8>,
     /// What each cell of the row is: [`WHOLE`], [`BESIDE`] or [`WITHIN`] holes.
     places: Vec<u8>,
+    /// By whether a cell's row and column in the parent are odd.
+    weights: [[Weights; 2]; 2],
 }
+
+/// What each of the parent's four taps around a cell weighs at the points of its lattice.
+type Weights = [[f64; 9]; 4];
 
 const HOLE: u8 = 1;
 const VALID: u8 = 2;
@@ -31,7 +37,8 @@ impl<'a, S: Texel> Holes<'a, S> {
     pub(super) fn new(parent: Window<'a, S>, child: Child<'a, S>, terms: Terms<S>) -> Self {
         let columns = || vec![VALID; parent.side];
         let places = vec![WHOLE; child.size.1.next_multiple_of(2)];
-        Self { parent, child, terms, fine: columns(), coarse: columns(), places }
+        let weights = [0, 1].map(|row| [0, 1].map(|col| weights(row, col)));
+        Self { parent, child, terms, fine: columns(), coarse: columns(), places, weights }
     }
 
     /// Replaces the intervals of row `row` that a missing tap made wrong.
@@ -90,6 +97,7 @@ impl<'a, S: Texel> Holes<'a, S> {
     }
 
     /// The interval of a child cell with missing taps around.
+    #[inline(always)]
     fn careful(&self, row: usize, col: usize, known: [f64; 2]) -> (f64, f64) {
         let Self { parent, child, terms: Terms { rounding, .. }, .. } = self;
         let interior = parent.side - 2;
@@ -99,24 +107,17 @@ impl<'a, S: Texel> Holes<'a, S> {
         let (left, right, _) = parent_taps(col_in_parent, 1);
         let texels = [(top, left), (top, right), (bottom, left), (bottom, right)];
         let texels = texels.map(|(row, col)| parent.at(row, col));
+        let weights = &self.weights[row_in_parent % 2][col_in_parent % 2];
         let mut coarse = [0.0; 9];
-        for ((down, across), here) in LATTICE.into_iter().zip(&mut coarse) {
-            let below = f64::from(parent_taps(row_in_parent, down).2) / 4.0;
-            let beside = f64::from(parent_taps(col_in_parent, across).2) / 4.0;
-            let weights = [
-                (1.0 - below) * (1.0 - beside),
-                (1.0 - below) * beside,
-                below * (1.0 - beside),
-                below * beside,
-            ];
-            for (weight, texel) in weights.into_iter().zip(texels) {
+        for (weights, texel) in weights.iter().zip(texels) {
+            for (here, &weight) in coarse.iter_mut().zip(weights) {
                 *here += if weight > 0.0 { weight * texel } else { 0.0 };
             }
         }
-        let mut lowest = f64::INFINITY;
-        let mut highest = f64::NEG_INFINITY;
-        for here in coarse.into_iter().filter(|here| !here.is_nan()) {
-            (lowest, highest) = (lowest.min(here), highest.max(here));
+        // NaN is neither less nor greater.
+        let (mut lowest, mut highest) = (f64::INFINITY, f64::NEG_INFINITY);
+        for here in coarse {
+            (lowest, highest) = (least(here, lowest), greatest(here, highest));
         }
         let mut fine = [[0.0; 3]; 3];
         for (down, texels) in fine.iter_mut().enumerate() {
@@ -124,7 +125,7 @@ impl<'a, S: Texel> Holes<'a, S> {
                 *texel = child.window.at(row + down, col + across);
             }
         }
-        let (least, greatest) = finest_around(child.window, &fine, row, col);
+        let (lowest_finest, highest_finest) = finest_around(child.window, &fine, row, col);
 
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         let mut broken = [false; 9];
@@ -134,12 +135,10 @@ impl<'a, S: Texel> Holes<'a, S> {
             let sum = fine[top][left] + fine[top][right] + fine[bottom][left] + fine[bottom][right];
             let difference = here - sum / 4.0;
             *broken = sum.is_nan();
-            if !difference.is_nan() {
-                low = low.min(difference + known[0] - rounding);
-                high = high.max(difference + known[1] + rounding);
-            }
+            low = least(difference + known[0] - rounding, low);
+            high = greatest(difference + known[1] + rounding, high);
         }
-        if !child.finest && least <= greatest {
+        if !child.finest && lowest_finest <= highest_finest && broken.contains(&true) {
             // The chain breaks on the quarters and edges that meet in such a point. R_l is bilinear
             // on each, so its extremes are at the points of the lattice beside it; R_L may be
             // anything.
@@ -148,16 +147,30 @@ impl<'a, S: Texel> Holes<'a, S> {
                 for ((other_down, other_across), there) in LATTICE.into_iter().zip(coarse) {
                     let beside =
                         other_down.abs_diff(down) <= 1 && other_across.abs_diff(across) <= 1;
-                    if beside && !there.is_nan() {
-                        low = low.min(there - greatest - rounding);
-                        high = high.max(there - least + rounding);
+                    if beside {
+                        low = least(there - highest_finest - rounding, low);
+                        high = greatest(there - lowest_finest + rounding, high);
                     }
                 }
             }
         }
         // Nothing in the cell is farther apart than the two surfaces' own ranges.
-        (low.max(lowest - greatest - rounding), high.min(highest - least + rounding))
+        (low.max(lowest - highest_finest - rounding), high.min(highest - lowest_finest + rounding))
     }
+}
+
+/// The weights in cells whose row and column in the parent are even, 0, or odd, 1.
+fn weights(row: usize, col: usize) -> Weights {
+    let mut weights = [[0.0; 9]; 4];
+    for (point, (down, across)) in LATTICE.into_iter().enumerate() {
+        let below = f64::from(parent_taps(row, down).2) / 4.0;
+        let beside = f64::from(parent_taps(col, across).2) / 4.0;
+        weights[0][point] = (1.0 - below) * (1.0 - beside);
+        weights[1][point] = (1.0 - below) * beside;
+        weights[2][point] = below * (1.0 - beside);
+        weights[3][point] = below * beside;
+    }
+    weights
 }
 
 /// Marks columns by what they have in three rows; false if there are no holes.
@@ -175,22 +188,26 @@ fn mark<S>(window: Window<'_, S>, rows: [usize; 3], columns: &mut [u8]) -> bool 
 }
 
 /// Least and greatest finest texel under a child cell and its eight neighbors, `texels`.
+#[inline(always)]
 fn finest_around<S: Texel>(
     window: Window<'_, S>,
     texels: &[[f64; 3]; 3],
     row: usize,
     col: usize,
 ) -> (f64, f64) {
-    let (mut least, mut greatest) = (f64::INFINITY, f64::NEG_INFINITY);
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for (down, texels) in texels.iter().enumerate() {
-        for (across, &texel) in texels.iter().enumerate().filter(|(_, texel)| !texel.is_nan()) {
-            let at = (row + down) * window.side + col + across;
-            let (low, high) = match window.span {
-                Some(span) => (span.least[at].into(), span.greatest[at].into()),
+        let first = (row + down) * window.side + col;
+        for (across, &texel) in texels.iter().enumerate() {
+            let (lowest, highest) = match window.span {
+                Some(_) if texel.is_nan() => continue,
+                Some(span) => {
+                    (span.least[first + across].into(), span.greatest[first + across].into())
+                }
                 None => (texel, texel),
             };
-            (least, greatest) = (least.min(low), greatest.max(high));
+            (low, high) = (least(lowest, low), greatest(highest, high));
         }
     }
-    (least, greatest)
+    (low, high)
 }

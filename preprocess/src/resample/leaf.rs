@@ -26,12 +26,14 @@ struct Room {
     window: Window,
     scratch: Scratch,
     sampled: Sampled,
+    /// Those of a canvas.
+    planes: Vec<Vec<f32>>,
 }
 
 /// Texels of a leaf, in a page's layout.
 struct Canvas {
     side: usize,
-    /// Meters, or amounts of light.
+    /// Meters, or amounts of light: anything where nothing is valid.
     planes: Vec<Vec<f32>>,
     alpha: Vec<u8>,
 }
@@ -46,15 +48,19 @@ impl Leaves for Resampler {
         if named.is_empty() {
             return Ok(None);
         }
-        let canvas = ROOM.with_borrow_mut(|room| self.canvas(page, room));
-        self.release(named);
-        let canvas = canvas?;
-        if canvas.as_ref().is_some_and(|canvas| !canvas.is_finite()) {
-            let found = "heights so large that what lies between them is not finite";
-            let supported = "heights up to a tenth of the largest 32-bit number";
-            return Err(RasterError::not_supported(self.rasters.path(), found, supported));
-        }
-        Ok(canvas.and_then(|canvas| self.raw(page, canvas)))
+        ROOM.with_borrow_mut(|room| {
+            let canvas = self.canvas(page, room);
+            self.release(named);
+            let Some(mut canvas) = canvas? else { return Ok(None) };
+            if !canvas.is_finite() {
+                let found = "heights so large that what lies between them is not finite";
+                let supported = "heights up to a tenth of the largest 32-bit number";
+                return Err(RasterError::not_supported(self.rasters.path(), found, supported));
+            }
+            let raw = self.raw(page, &mut canvas);
+            room.planes = canvas.planes;
+            Ok(raw)
+        })
     }
 
     fn skip(&self, page: PageAddress) {
@@ -118,10 +124,11 @@ impl Resampler {
             if !self.sample(tile, named, room)? {
                 continue;
             }
-            let canvas = canvas.get_or_insert_with(|| Canvas {
-                side,
-                planes: vec![vec![0.0; side * side]; channels],
-                alpha: vec![0; side * side],
+            let canvas = canvas.get_or_insert_with(|| {
+                let mut planes = std::mem::take(&mut room.planes);
+                planes.resize_with(channels, Vec::new);
+                planes.iter_mut().for_each(|plane| plane.resize(side * side, 0.0));
+                Canvas { side, planes, alpha: vec![0; side * side] }
             });
             let [row, col] = [tile.row - top, tile.col - left]
                 .map(|at| usize::try_from(at).expect("tiles lie in the leaf") + 1);
@@ -137,7 +144,7 @@ impl Resampler {
         named: &[PreparedAt],
         room: &mut Room,
     ) -> Result<bool, RasterError> {
-        let Room { coords, window, scratch, sampled } = room;
+        let Room { coords, window, scratch, sampled, .. } = room;
         if self.plan.transform.range(tile).is_none() {
             return Ok(false);
         }
@@ -155,40 +162,48 @@ impl Resampler {
     }
 
     /// A leaf as a build takes it; `None` if nothing in it is valid.
-    fn raw(&self, page: PageAddress, canvas: Canvas) -> Option<Raw> {
-        let Canvas { side, mut planes, alpha } = canvas;
+    fn raw(&self, page: PageAddress, canvas: &mut Canvas) -> Option<Raw> {
+        let Canvas { side, planes, alpha } = canvas;
         let (rows, cols) = self.plan.grid.pyramid().interior_size(page);
-        let inside = alpha.chunks_exact(side).skip(1).take(rows as usize);
-        let inside = inside.flat_map(|row| &row[1..=cols as usize]);
+        let inside = alpha.chunks_exact(*side).skip(1).take(rows as usize);
         let (least, greatest) =
-            inside.fold((u8::MAX, 0), |(low, high), &code| (code.min(low), code.max(high)));
+            inside.fold((u8::MAX, 0), |found, row| lanes::extremes(&row[1..=cols as usize], found));
         if greatest == 0 {
             return None;
         }
         let planes = match self.rasters.kind() {
-            Kind::Height if self.is_whole() => Planes::WholeHeight(whole(&planes[0], &alpha)),
+            Kind::Height if self.is_whole() => Planes::WholeHeight(whole(&planes[0], alpha)),
             Kind::Height => {
-                for (height, &code) in planes[0].iter_mut().zip(&alpha) {
+                for (height, &code) in planes[0].iter_mut().zip(&*alpha) {
                     *height = if code == 0 { f32::NAN } else { *height };
                 }
                 Planes::Height(planes.swap_remove(0))
             }
             Kind::Color | Kind::Normal => Planes::Color(std::array::from_fn(|channel| {
-                let light = planes[channel].iter().zip(&alpha);
+                let light = planes[channel].iter().zip(&*alpha);
                 light
                     .map(|(&light, &code)| if code == 0 { 0 } else { crate::texel::code(light) })
                     .collect()
             })),
         };
-        Some(Raw { planes, alpha: (least < u8::MAX).then_some(alpha) })
+        Some(Raw { planes, alpha: (least < u8::MAX).then(|| std::mem::take(alpha)) })
     }
 }
 
 impl Canvas {
     /// Whether all that is valid is finite.
     fn is_finite(&self) -> bool {
-        let off = |(&value, &code): (&f32, &u8)| code != 0 && !value.is_finite();
-        !self.planes.iter().any(|plane| plane.iter().zip(&self.alpha).any(off))
+        // Many at a time become vectors.
+        const TOGETHER: usize = 256;
+        let off = |values: &[f32], alpha: &[u8]| {
+            let texels = values.iter().zip(alpha);
+            texels.fold(false, |off, (value, &code)| off | ((code != 0) & !value.is_finite()))
+        };
+        let chunks = |plane: &Vec<f32>| {
+            let mut chunks = plane.chunks(TOGETHER).zip(self.alpha.chunks(TOGETHER));
+            chunks.any(|(values, alpha)| off(values, alpha))
+        };
+        !self.planes.iter().any(chunks)
     }
 
     fn lay(&mut self, at: usize, tile: TargetTile, sampled: &Sampled) {

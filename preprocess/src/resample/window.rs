@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use areoid_formats::lanes;
+
 use super::extension::{Pixel, Run};
 use super::needs::PreparedAt;
 use super::prepare::{PREPARED, Prepared, PreparedSource};
@@ -123,6 +125,13 @@ impl Window {
                 any |= !tile.is_empty() && rows.first.real && cols.first.real;
                 self.lay(&tile, rows, cols, len, real);
             }
+        }
+        if any && self.masked {
+            let rows = self.alpha.chunks(self.stride).take(height);
+            let (least, greatest) =
+                rows.fold((u8::MAX, 0), |found, row| lanes::extremes(&row[..width], found));
+            self.masked = least < u8::MAX;
+            any = greatest > 0;
         }
         Ok(any)
     }

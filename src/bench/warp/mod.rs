@@ -82,7 +82,7 @@ pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
     }
     let job = whole::measure(setting, &terrain(setting, large[0].source)?)?;
     tables.push(job.table);
-    targets.push(job.target);
+    targets.extend(job.targets);
     data.push(job.data);
     Ok(Chapter {
         name: "warp",

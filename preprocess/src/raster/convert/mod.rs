@@ -10,7 +10,7 @@ pub use self::whole::whole_heights_into;
 
 use std::ops::Range;
 
-use areoid_formats::lanes;
+use areoid_formats::lanes::{self, Wide};
 
 use super::error::RasterError;
 use super::samples::{Sample, SampleType, Samples, with_samples};
@@ -107,12 +107,30 @@ fn heights<T: Sample>(values: &[T], part: &Part, info: &RasterInfo, out: &mut [f
     lines()
         .zip(rows)
         .map(|(line, row)| match (nodata, is_plain) {
-            (None, true) => lay(line, row, |&sample| (plain(sample), true)),
-            (None, false) => lay(line, row, |&sample| (scaled(sample), true)),
-            (Some(nodata), true) => lay(line, row, |&sample| (plain(sample), sample != nodata)),
-            (Some(nodata), false) => lay(line, row, |&sample| (scaled(sample), sample != nodata)),
+            (None, true) => lay_line(line, row, |&sample| (plain(sample), true)),
+            (None, false) => lay_line(line, row, |&sample| (scaled(sample), true)),
+            (Some(nodata), true) => {
+                lay_line(line, row, |&sample| (plain(sample), sample != nodata))
+            }
+            (Some(nodata), false) => {
+                lay_line(line, row, |&sample| (scaled(sample), sample != nodata))
+            }
         })
         .sum()
+}
+
+/// [`lay`] in the widest vectors that there are.
+fn lay_line<T>(samples: &[T], row: &mut [f32], height: impl Fn(&T) -> (f32, bool)) -> usize {
+    struct Line<'a, T, F>(&'a [T], &'a mut [f32], F);
+    impl<T, F: Fn(&T) -> (f32, bool)> Wide for Line<'_, T, F> {
+        type Output = usize;
+
+        #[inline(always)]
+        fn run(self) -> usize {
+            lay(self.0, self.1, self.2)
+        }
+    }
+    lanes::vectorized(Line(samples, row, height))
 }
 
 /// Writes what is valid and finite; how many texels that are.
@@ -126,7 +144,9 @@ fn lay<S>(
     for (texel, sample) in row.iter_mut().zip(samples) {
         let (height, valid) = height(sample);
         let valid = valid & height.is_finite();
-        *texel = if valid { height } else { *texel };
+        // A choice by bits: stores of some lanes alone are slow.
+        let chosen = 0_u32.wrapping_sub(u32::from(valid));
+        *texel = f32::from_bits(height.to_bits() & chosen | texel.to_bits() & !chosen);
         written += u32::from(valid);
     }
     written as usize
@@ -246,7 +266,7 @@ struct Split<'a, T, B> {
     planes: [&'a mut [u8]; 3],
 }
 
-impl<T: Copy, B: Fn(T) -> u8> lanes::Wide for Split<'_, T, B> {
+impl<T: Copy, B: Fn(T) -> u8> Wide for Split<'_, T, B> {
     type Output = ();
 
     #[inline(always)]

@@ -159,9 +159,8 @@ where
         let Self { planes, pixels, side, rough } = self;
         let Rough { count, at, right, below, off } = rough;
         let (at, off) = (&at[..*count], &mut off[..*count]);
-        off.fill(f32::NEG_INFINITY);
         let mut taps = [[T::default(); TILE]; 4];
-        for (plane, pixels) in planes.into_iter().zip(pixels) {
+        for (channel, (plane, pixels)) in planes.into_iter().zip(pixels).enumerate() {
             let [one, two, three, four] = &mut taps;
             let columns = one.iter_mut().zip(two).zip(three.iter_mut().zip(four));
             for (&at, ((one, two), (three, four))) in at.iter().zip(columns) {
@@ -178,7 +177,7 @@ where
                 let this = (upper + (lower - upper) * below[at] - pixel).abs();
                 // A pixel without data is NaN, and nothing is far from it; any other NaN stays.
                 let this = if pixel.is_nan() { f32::NEG_INFINITY } else { this };
-                off[at] = if this <= off[at] { off[at] } else { this };
+                off[at] = if channel > 0 && this <= off[at] { off[at] } else { this };
             }
         }
     }

@@ -19,8 +19,11 @@
 //! to stretched Lanczos. What that weighs is pixels, which are the coefficients convolved with the
 //! spline at whole numbers; so are its weights then, and coefficients are summed as ever.
 
+use areoid_formats::lanes;
+
 use super::super::tile::{Coords, Footprint};
 use super::super::window::View;
+use super::taps::ROUNDER;
 use super::wide::{Axis, LOAD};
 use super::{Kernel, Scratch, weights, wide};
 
@@ -157,10 +160,9 @@ impl Axis for Table {
     #[inline(always)]
     fn weights(&self, fraction: f64, out: &mut [[f32; LOAD]]) {
         let place = fraction * STEPS as f64;
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 1")]
-        let step = (place as usize).min(STEPS - 1);
-        #[expect(clippy::cast_possible_truncation, reason = "a fraction")]
-        let between = (place - step as f64) as f32;
+        let step = lanes::least(place.floor(), (STEPS - 1) as f64);
+        #[expect(clippy::cast_possible_truncation, reason = "a fraction; the lowest bits")]
+        let (between, step) = ((place - step) as f32, (step + ROUNDER).to_bits() as u32 as usize);
         let rows = &self.weights[step * self.chunks()..][..2 * self.chunks()];
         let (before, after) = rows.split_at(self.chunks());
         for ((out, before), after) in out.iter_mut().zip(before).zip(after) {

@@ -15,7 +15,10 @@ use super::super::window::View;
 use super::weights::Pieces;
 
 /// Texels that are computed at once.
-const ROW: usize = 64;
+pub(super) const ROW: usize = 64;
+
+/// Adding it leaves a whole number in the lowest bits.
+pub(super) const ROUNDER: f64 = 6_755_399_441_055_744.0;
 
 /// Where the taps of a row of texels begin, and what their weights depend on.
 struct Spots {
@@ -28,16 +31,15 @@ struct Spots {
 }
 
 impl Spots {
-    /// For taps that begin `before` pixels before the one beside a texel.
+    /// For taps that begin `before` pixels before the one beside a texel, which is `later` pixels
+    /// farther along both axes.
     #[inline(always)]
-    fn new(u: &[f64; ROW], v: &[f64; ROW], view: View<'_>, before: i64) -> Self {
-        // Adding it leaves a whole number in the lowest bits.
-        const ROUNDER: f64 = 6_755_399_441_055_744.0;
+    fn new(u: &[f64; ROW], v: &[f64; ROW], view: View<'_>, before: i64, later: f64) -> Self {
         let (col, row) = ((view.col + before) as f64, (view.row + before) as f64);
         let stride = view.stride as f64;
         let mut spots = Self { at: [0; ROW], u: [0.0; ROW], v: [0.0; ROW] };
         for lane in 0..ROW {
-            let (u, v) = (u[lane] - col, v[lane] - row);
+            let (u, v) = ((u[lane] + later) - col, (v[lane] + later) - row);
             let (col, row) = (u.floor(), v.floor());
             #[expect(clippy::cast_possible_truncation, reason = "fractions; the lowest bits")]
             {
@@ -58,6 +60,18 @@ fn padded(coords: &[f64]) -> [f64; ROW] {
     row
 }
 
+/// A row of coordinates as it is if it is full, else padded into `room`.
+#[inline(always)]
+pub(super) fn full<'a>(coords: &'a [f64], room: &'a mut [f64; ROW]) -> &'a [f64; ROW] {
+    match coords.try_into() {
+        Ok(row) => row,
+        Err(_) => {
+            *room = padded(coords);
+            room
+        }
+    }
+}
+
 /// Work on texels whose coordinates are `u` and `v`, `ROW` by `ROW`.
 struct Rows<'a, T> {
     texels: T,
@@ -68,7 +82,12 @@ struct Rows<'a, T> {
 
 /// What is done with a row of texels.
 trait Texels {
-    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], out: &mut [f32; ROW]);
+    /// Memory that rows use again.
+    type Room;
+
+    fn room() -> Self::Room;
+
+    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], room: &mut Self::Room, out: &mut [f32; ROW]);
 }
 
 impl<T: Texels> Wide for Rows<'_, T> {
@@ -78,10 +97,17 @@ impl<T: Texels> Wide for Rows<'_, T> {
     fn run(self) {
         let Self { texels, u, v, out } = self;
         let rows = u.chunks(ROW).zip(v.chunks(ROW)).zip(out.chunks_mut(ROW));
+        let (mut room, mut padding) = (T::room(), [[0.0; ROW]; 2]);
         for ((u, v), out) in rows {
+            let [padding_u, padding_v] = &mut padding;
+            let (u, v) = (full(u, padding_u), full(v, padding_v));
             let mut row = [0.0; ROW];
-            texels.row(&padded(u), &padded(v), &mut row);
-            out.copy_from_slice(&row[..out.len()]);
+            let is_full = out.len() == ROW;
+            let to = if is_full { out.try_into().expect("a row") } else { &mut row };
+            texels.row(u, v, &mut room, to);
+            if !is_full {
+                out.copy_from_slice(&row[..out.len()]);
+            }
         }
     }
 }
@@ -102,14 +128,11 @@ pub(super) fn nearest(u: &[f64], v: &[f64], view: View<'_>, each: impl FnMut(&[u
         #[inline(always)]
         fn run(self) {
             let Self { u, v, view, mut each } = self;
-            for (u, v) in u.chunks(ROW).zip(v.chunks(ROW)) {
-                let count = u.len();
-                let (mut u, mut v) = (padded(u), padded(v));
-                for texel in 0..ROW {
-                    u[texel] += 0.5;
-                    v[texel] += 0.5;
-                }
-                each(&Spots::new(&u, &v, view, 0).at[..count]);
+            let mut padding = [[0.0; ROW]; 2];
+            for (us, vs) in u.chunks(ROW).zip(v.chunks(ROW)) {
+                let [padding_u, padding_v] = &mut padding;
+                let (u, v) = (full(us, padding_u), full(vs, padding_v));
+                each(&Spots::new(u, v, view, 0, 0.5).at[..us.len()]);
             }
         }
     }
@@ -130,9 +153,13 @@ struct Bilinear<'a> {
 }
 
 impl Texels for Bilinear<'_> {
+    type Room = ();
+
+    fn room() {}
+
     #[inline(always)]
-    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], out: &mut [f32; ROW]) {
-        let spots = Spots::new(u, v, self.view, 0);
+    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], (): &mut (), out: &mut [f32; ROW]) {
+        let spots = Spots::new(u, v, self.view, 0, 0.0);
         let stride = self.view.stride;
         let [mut a, mut b, mut c, mut d] = [[0.0_f32; ROW]; 4];
         for lane in 0..ROW {
@@ -170,6 +197,18 @@ pub(super) fn separable<const PAIRS: usize, const TERMS: usize, const LOAD: usiz
     lanes::vectorized(Rows { texels, u, v, out });
 }
 
+/// What is known of a row of texels before its sums.
+struct Taps<const LOAD: usize> {
+    /// Weights of the columns of taps, and of the rows.
+    across: [[f32; ROW]; LOAD],
+    down: [[f32; ROW]; LOAD],
+    /// The pixels beside texels.
+    beside: [f32; ROW],
+    /// Sums along columns, stored and not summed at once: the compiler would take the sum's order
+    /// for the taps'.
+    columns: [[f32; LOAD]; ROW],
+}
+
 struct Separable<'a, const PAIRS: usize, const TERMS: usize, const LOAD: usize> {
     pieces: &'a Pieces<PAIRS, TERMS>,
     view: View<'a>,
@@ -178,18 +217,26 @@ struct Separable<'a, const PAIRS: usize, const TERMS: usize, const LOAD: usize> 
 impl<const PAIRS: usize, const TERMS: usize, const LOAD: usize> Texels
     for Separable<'_, PAIRS, TERMS, LOAD>
 {
+    type Room = Taps<LOAD>;
+
+    fn room() -> Taps<LOAD> {
+        Taps {
+            across: [[0.0; ROW]; LOAD],
+            down: [[0.0; ROW]; LOAD],
+            beside: [0.0; ROW],
+            columns: [[0.0; LOAD]; ROW],
+        }
+    }
+
     #[inline(always)]
-    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], out: &mut [f32; ROW]) {
-        let spots = Spots::new(u, v, self.view, PAIRS as i64 - 1);
+    fn row(&self, u: &[f64; ROW], v: &[f64; ROW], room: &mut Taps<LOAD>, out: &mut [f32; ROW]) {
+        let Taps { across, down, beside, columns } = room;
+        let spots = Spots::new(u, v, self.view, PAIRS as i64 - 1, 0.0);
         let stride = self.view.stride;
-        let [mut across, mut down] = [[[0.0_f32; ROW]; LOAD]; 2];
-        self.pieces.at(&spots.u, &mut across);
-        self.pieces.at(&spots.v, &mut down);
+        self.pieces.at(&spots.u, across);
+        self.pieces.at(&spots.v, down);
 
         let last = 2 * PAIRS - 1;
-        let mut beside = [0.0_f32; ROW];
-        // Stored and not summed at once: the compiler would take the sum's order for the taps'.
-        let mut columns = [[0.0_f32; LOAD]; ROW];
         for texel in 0..ROW {
             let taps = &self.view.data[spots.at[texel] as usize..][..last * stride + LOAD];
             let center = taps[(PAIRS - 1) * stride + PAIRS - 1];

@@ -25,167 +25,111 @@
 
 use areoid_formats::lanes;
 
+use super::guess::{Spot, guesses};
+
 /// Fills in the pixels whose `alpha` is 0 of rows of `width`: what stands there is not looked at.
 ///
 /// Where none is valid all become 0.
 pub(super) fn fill(pixels: &mut [f32], alpha: &[u8], width: usize, rings: usize, room: &mut Room) {
-    let Room { known, queued, next, values } = room;
-    known.clear();
-    known.extend(alpha.iter().map(|&alpha| alpha != 0));
-    rim(known, width, next);
-    queued.clear();
-    queued.resize(known.len(), false);
+    let Room { seen, next, filled, values } = room;
+    for (pixel, &alpha) in pixels.iter_mut().zip(alpha) {
+        *pixel = if alpha == 0 { f32::NAN } else { *pixel };
+    }
+    seen.clear();
+    seen.extend(alpha.iter().map(|&alpha| alpha != 0));
+    rim(alpha, width, next);
+    for &[row, col] in &*next {
+        seen[row * width + col] = true;
+    }
     for _ring in 0..rings {
-        values.clear();
-        values.extend(next.iter().map(|&at| guess(pixels, known, width, at)));
-        for (&at, &value) in next.iter().zip(&*values) {
-            pixels[at] = value;
-            known[at] = true;
+        guesses(pixels, width, next, values);
+        for (&[row, col], &value) in next.iter().zip(&*values) {
+            pixels[row * width + col] = value;
         }
-        let filled = std::mem::take(next);
-        for at in filled {
-            for beside in around(at, width, known.len()) {
-                if !(known[beside] || queued[beside]) {
-                    queued[beside] = true;
-                    next.push(beside);
-                }
-            }
+        std::mem::swap(filled, next);
+        next.clear();
+        for &spot in &*filled {
+            see_around(spot, width, seen, next);
         }
         if next.is_empty() {
             break;
         }
     }
-    repeat(pixels, known, width);
+    repeat(pixels, width);
 }
 
 /// Memory that [`fill`] uses again.
 #[derive(Debug, Default)]
 pub(super) struct Room {
-    /// Which pixels have a value.
-    known: Vec<bool>,
-    /// Which are among `next`, or were.
-    queued: Vec<bool>,
-    /// Those to be filled next, and with what.
-    next: Vec<usize>,
+    /// Which pixels have a value, or are among `next`.
+    seen: Vec<bool>,
+    /// Those to be filled next, those that were last, and with what.
+    next: Vec<Spot>,
+    filled: Vec<Spot>,
     values: Vec<f32>,
 }
 
 /// The pixels without a value that lie beside one that has one.
-fn rim(known: &[bool], width: usize, rim: &mut Vec<usize>) {
+fn rim(alpha: &[u8], width: usize, rim: &mut Vec<Spot>) {
     rim.clear();
-    let rows = known.len() / width;
-    let line = |row: usize| &known[row * width..][..width];
+    let rows = alpha.len() / width;
+    let line = |row: usize| &alpha[row * width..][..width];
     // Whether there is one in a column of three, with a column more on either side.
-    let mut near = vec![false; width + 2];
+    let (mut near, mut wanted) = (vec![0; width + 2], vec![false; width]);
     for row in 0..rows {
         let here = line(row);
-        if lanes::none(here, |known| !known) {
+        if lanes::none(here, |alpha| alpha == 0) {
             continue;
         }
         let (above, below) = (line(row.saturating_sub(1)), line((row + 1).min(rows - 1)));
-        for col in 0..width {
-            near[col + 1] = above[col] | here[col] | below[col];
+        for (near, ((above, here), below)) in
+            near[1..].iter_mut().zip(above.iter().zip(here).zip(below))
+        {
+            *near = above | here | below;
         }
-        let beside = |col: usize| near[col] | near[col + 1] | near[col + 2];
-        rim.extend((0..width).filter(|&col| !here[col] & beside(col)).map(|col| row * width + col));
+        let beside = near.iter().zip(&near[1..]).zip(&near[2..]);
+        for ((wanted, &here), ((left, own), right)) in wanted.iter_mut().zip(here).zip(beside) {
+            *wanted = (here == 0) & (left | own | right != 0);
+        }
+        // Few are; most of a row is passed over many at a time.
+        for (chunk, wanted) in wanted.chunks(32).enumerate() {
+            if !lanes::none(wanted, |wanted| wanted) {
+                let cols = (chunk * 32..).zip(wanted).filter(|&(_, &wanted)| wanted);
+                rim.extend(cols.map(|(col, _)| [row, col]));
+            }
+        }
     }
 }
 
-/// The neighbors of a pixel.
-fn around(at: usize, width: usize, len: usize) -> impl Iterator<Item = usize> {
-    let (row, col) = (at / width, at % width);
-    let rows = row.saturating_sub(1)..(row + 2).min(len / width);
+/// Appends the neighbors of a pixel that were not seen.
+fn see_around([row, col]: Spot, width: usize, seen: &mut [bool], next: &mut Vec<Spot>) {
+    let rows = row.saturating_sub(1)..(row + 2).min(seen.len() / width);
     let cols = col.saturating_sub(1)..(col + 2).min(width);
-    rows.flat_map(move |row| cols.clone().map(move |col| row * width + col))
-        .filter(move |&beside| beside != at)
-}
-
-/// What the neighbors that have a value make of a pixel.
-fn guess(pixels: &[f32], known: &[bool], width: usize, at: usize) -> f32 {
-    let (row, col) = (at / width, at % width);
-    let is_inside = |at: usize, len: usize| (3..len.saturating_sub(3)).contains(&at);
-    if is_inside(row, known.len() / width) && is_inside(col, width) {
-        return guess_inside(pixels, known, width, at);
-    }
-    guess_beside_an_edge(pixels, known, width, at)
-}
-
-/// The same of any pixel.
-fn guess_beside_an_edge(pixels: &[f32], known: &[bool], width: usize, at: usize) -> f32 {
-    let (row, col) = (at / width, at % width);
-    let (mut sum, mut weights) = (0.0, 0.0);
-    for beside in around(at, width, known.len()).filter(|&beside| known[beside]) {
-        let (down, right) = (beside / width, beside % width);
-        let weight = if down == row || right == col { 1.0 } else { 0.5 };
-        // The value `steps` away on the line through both.
-        let along = |steps: usize| {
-            let index = |from: usize, one: usize, len: usize| {
-                let index = (from + steps * one).checked_sub(steps * from);
-                index.filter(|&index| index < len)
-            };
-            let (row, col) = (index(row, down, known.len() / width)?, index(col, right, width)?);
-            let at = row * width + col;
-            known[at].then(|| f64::from(pixels[at]))
-        };
-        sum += weight * along_line(f64::from(pixels[beside]), along(2), along(3));
-        weights += weight;
-    }
-    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is the point")]
-    let guess = (sum / weights) as f32;
-    guess
-}
-
-/// The same of a pixel that three others lie beside in every direction.
-fn guess_inside(pixels: &[f32], known: &[bool], width: usize, at: usize) -> f32 {
-    let steps = [width + 1, width, width - 1, 1];
-    let value = |at: usize| known[at].then(|| f64::from(pixels[at]));
-    let (mut sum, mut weights) = (0.0, 0.0);
-    let mut add = |weight: f64, [one, two, three]: [usize; 3]| {
-        if let Some(a) = value(one) {
-            sum += weight * along_line(a, value(two), value(three));
-            weights += weight;
+    for row in rows {
+        let line = &mut seen[row * width..][cols.clone()];
+        if *line == [true; 3] {
+            continue;
         }
-    };
-    // The order of `around`, so that sums are the same to the bit.
-    for (step, weight) in steps.into_iter().zip([0.5, 1.0, 0.5, 1.0]) {
-        add(weight, [at - step, at - 2 * step, at - 3 * step]);
-    }
-    for (step, weight) in steps.into_iter().zip([0.5, 1.0, 0.5, 1.0]).rev() {
-        add(weight, [at + step, at + 2 * step, at + 3 * step]);
-    }
-    #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is the point")]
-    let guess = (sum / weights) as f32;
-    guess
-}
-
-/// What goes on from `a`, with `b` behind it and `c` behind that.
-fn along_line(a: f64, b: Option<f64>, c: Option<f64>) -> f64 {
-    let slope = match (b, c) {
-        (Some(b), Some(c)) => smaller(a - b, b - c),
-        (Some(b), None) => 0.5 * (a - b),
-        (None, _) => 0.0,
-    };
-    a + slope
-}
-
-/// The slope nearer to 0, or 0 between slopes that differ in sign.
-fn smaller(a: f64, b: f64) -> f64 {
-    if a * b <= 0.0 {
-        0.0
-    } else if a.abs() < b.abs() {
-        a
-    } else {
-        b
+        for (col, seen) in cols.clone().zip(line) {
+            if !*seen {
+                *seen = true;
+                next.push([row, col]);
+            }
+        }
     }
 }
 
 /// Gives what is left in a row the value to its left, or the first one in the row or of all.
-fn repeat(pixels: &mut [f32], known: &[bool], width: usize) {
-    let first = known.iter().position(|&known| known).map_or(0.0, |at| pixels[at]);
-    for (pixels, known) in pixels.chunks_exact_mut(width).zip(known.chunks_exact(width)) {
-        let mut value = known.iter().position(|&known| known).map_or(first, |at| pixels[at]);
-        for (pixel, &known) in pixels.iter_mut().zip(known) {
-            value = if known { *pixel } else { value };
+fn repeat(pixels: &mut [f32], width: usize) {
+    let is_known = |pixel: &f32| !pixel.is_nan();
+    let first = pixels.iter().copied().find(is_known).unwrap_or(0.0);
+    for pixels in pixels.chunks_exact_mut(width) {
+        if lanes::none(pixels, f32::is_nan) {
+            continue;
+        }
+        let mut value = pixels.iter().copied().find(is_known).unwrap_or(first);
+        for pixel in pixels {
+            value = if pixel.is_nan() { value } else { *pixel };
             *pixel = value;
         }
     }
@@ -219,21 +163,6 @@ mod tests {
         let alpha: Vec<u8> = (0..900).map(|at| u8::from(!is_hole(at))).collect();
         fill(&mut pixels, &alpha, 30, 3, &mut Room::default());
         assert!((0..900).all(|at| pixels[at] == ramp(at)));
-    }
-
-    /// What is near an edge asks before each step whether there is one; the rest need not.
-    #[test]
-    fn a_pixel_is_guessed_inside_as_beside_an_edge() {
-        let pixels: Vec<f32> = (0..77).map(|at| (at * at * 37 % 1009) as f32 + 0.1).collect();
-        let (width, center) = (7, 5 * 7 + 3);
-        for pattern in 1..2000 {
-            let known: Vec<bool> =
-                (0..77).map(|at| at != center && (at * pattern + at / 5) % 4099 % 3 > 0).collect();
-            let [inside, beside] = [guess_inside, guess_beside_an_edge]
-                .map(|guess| guess(&pixels, &known, width, center).to_bits());
-            assert_eq!(inside, beside);
-            assert_eq!(inside, guess(&pixels, &known, width, center).to_bits());
-        }
     }
 
     #[test]

@@ -8,6 +8,8 @@
 //! Heights become f32 meters, colors f32 amounts of light. What stood in a hole is nowhere
 //! afterward; what stands there now, a mask hides from all but the taps of kernels.
 
+mod guess;
+
 mod fill;
 mod prefilter;
 mod tile;

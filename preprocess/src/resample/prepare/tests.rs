@@ -211,3 +211,21 @@ fn a_tile_without_data_near_it_is_empty() {
     assert!(!window.assemble(&source, [10.0, 200.0, 1.0, 9.0], [2, 2], |_| true).unwrap());
     assert!(window.assemble(&source, [10.0, 600.0, 1.0, 9.0], [2, 2], |_| true).unwrap());
 }
+
+#[test]
+fn a_window_is_masked_by_the_holes_in_it_and_by_no_others() {
+    let pixel = |col: u32, _: u32| if (100..140).contains(&col) { f32::NAN } else { 5.0 };
+    let filter = Filter::Pixels { reach: 2 };
+    let source = prepared(InMemory::heights(extent(256, 256, PoleContact::None), pixel), filter);
+    let mut window = Window::default();
+    let mut window_of = |left: f64, right: f64| {
+        let any = window.assemble(&source, [left, right, 20.0, 60.0], [2, 2], |_| true).unwrap();
+        (any, window.alpha().is_some())
+    };
+    // Taps reach two pixels to the right of the one beside a place, and one to its left.
+    assert_eq!(window_of(20.0, 97.5), (true, false));
+    assert_eq!(window_of(20.0, 98.5), (true, true));
+    assert_eq!(window_of(101.0, 137.5), (false, true));
+    assert_eq!(window_of(101.0, 138.5), (true, true));
+    assert_eq!(window_of(141.0, 200.0), (true, false));
+}

@@ -74,7 +74,8 @@ impl Prepared {
     /// Appends the mask, if there is need of one.
     pub(super) fn finish(&mut self, inside: &Inside, alpha: Option<&[u8]>) {
         if let (Alpha::Kept, Some(alpha)) = (self.alpha, alpha) {
-            let bytes: Vec<u8> = inside.rows(alpha).flatten().copied().collect();
+            let mut bytes = Vec::with_capacity(self.rows * self.cols);
+            inside.rows(alpha).for_each(|row| bytes.extend_from_slice(row));
             self.words.extend(bytemuck::pod_collect_to_vec::<u8, u32>(&bytes));
         }
     }
