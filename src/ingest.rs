@@ -310,6 +310,7 @@ impl IngestOptions {
                     LatitudesArg::Planetographic => LatitudeKind::Planetographic,
                     LatitudesArg::Planetocentric => LatitudeKind::Planetocentric,
                 }),
+                within: None,
             },
         }
     }

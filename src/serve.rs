@@ -75,7 +75,11 @@ struct Settings {
     #[arg(long, value_name = "SECONDS")]
     header_timeout_s: Option<u64>,
 
-    /// How long a client may take nothing of what is sent to it [default: 30].
+    /// Insertions at a time, one under way and the others waiting for it [default: 16].
+    #[arg(long, value_name = "COUNT")]
+    max_insertions: Option<usize>,
+
+    /// How long a client may take nothing of what is sent to it, or less than 256 KiB [default: 30].
     #[arg(long, value_name = "SECONDS")]
     stall_timeout_s: Option<u64>,
 
@@ -108,6 +112,7 @@ impl Settings {
                 .or(file.max_connections)
                 .or(Some(limits.connections)),
             max_requests: self.max_requests.or(file.max_requests).or(Some(limits.requests)),
+            max_insertions: self.max_insertions.or(file.max_insertions).or(Some(limits.insertions)),
             header_timeout_s: self
                 .header_timeout_s
                 .or(file.header_timeout_s)
@@ -141,6 +146,7 @@ impl Settings {
             limits: Limits {
                 connections: self.max_connections.unwrap_or(default.connections),
                 requests: self.max_requests.unwrap_or(default.requests),
+                insertions: self.max_insertions.unwrap_or(default.insertions),
                 header: seconds(self.header_timeout_s, default.header),
                 stalled: seconds(self.stall_timeout_s, default.stalled),
                 drain: seconds(self.drain_s, default.drain),

@@ -14,11 +14,8 @@ use std::thread;
 use areoid_formats::archive::Archive;
 use areoid_formats::body::Body;
 use areoid_formats::catalog::{Build, Catalog, CatalogError, DatasetRecord, RealDisk};
-use areoid_formats::page::Kind;
 use areoid_preprocess::build::Proceed;
-use areoid_preprocess::ingest::{
-    Event, IngestError, Outcome, Request, TargetGrid, Unfinished, ingest,
-};
+use areoid_preprocess::ingest::{Event, IngestError, Outcome, Request, Unfinished, ingest};
 
 /// How long an inserted dataset lives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -137,20 +134,9 @@ fn keep(
 
 /// Takes away the build that a failed ingest has kept, or those of its parts.
 fn discard(request: &Request) {
-    let stem = || Some(request.rasters.first()?.file_stem()?.to_string_lossy().into_owned());
-    let Some(name) = request.name.clone().or_else(stem) else { return };
-    let parts: &[&str] = match request.grid {
-        TargetGrid::Split => &[".band", ".north", ".south"],
-        // Without a name of their own, normals are told from the heights by theirs.
-        TargetGrid::One(_) if request.name.is_none() && request.kind == Some(Kind::Normal) => {
-            &[".normal"]
-        }
-        TargetGrid::One(_) => &[""],
-    };
-    for part in parts {
+    for dataset in request.datasets() {
         // If it stays, the next build of that name discards it.
-        let _ = Build::resume(&RealDisk, &request.catalog, &format!("{name}{part}"))
-            .and_then(Build::discard);
+        let _ = Build::resume(&RealDisk, &request.catalog, &dataset).and_then(Build::discard);
     }
 }
 
@@ -159,8 +145,13 @@ fn make_temporary(
     body: &Body,
     watch: impl FnMut(Event) -> Proceed + Send,
 ) -> Result<Inserted, InsertError> {
-    let place = Place::new(&request.catalog)?;
     let main = Catalog::open(&request.catalog)?;
+    let called = request.called();
+    let mut names = request.datasets().into_iter().chain([called.clone()]);
+    if names.any(|name| main.named(&name).is_ok()) {
+        return Err(InsertError::Taken { name: called });
+    }
+    let place = Place::new(&request.catalog)?;
     let request = Request { catalog: place.catalog(), unfinished: Unfinished::Discard, ..request };
     let outcome = ingest(&RealDisk, &request, watch)?;
     let (catalog, archives) = Catalog::open_with_archives(&request.catalog)?;
@@ -168,14 +159,7 @@ fn make_temporary(
         let (catalog, raster) = (body.name.clone(), catalog.body().name.clone());
         return Err(InsertError::OtherBody { catalog, raster });
     }
-    let records = catalog.datasets();
-    let taken = |record: &&DatasetRecord| {
-        main.named(&record.name).is_ok() || main.named(record.called()).is_ok()
-    };
-    if let Some(record) = records.iter().find(taken) {
-        return Err(InsertError::Taken { name: record.called().to_owned() });
-    }
-    let temporary = records.iter().cloned().zip(archives).collect();
+    let temporary = catalog.datasets().iter().cloned().zip(archives).collect();
     Ok(Inserted { outcome, temporary })
 }
 

@@ -205,6 +205,7 @@ impl InsertRequest {
                 nodata: self.nodata,
                 body: self.body,
                 latitudes: self.latitudes,
+                within: None,
             },
         })
     }

@@ -8,7 +8,7 @@ use areoid_cache::remote::{self, Client, RemoteError};
 use areoid_formats::catalog::{RealDisk, remove_dataset};
 use serde_json::json;
 
-use super::rig::{NAME, Place, Serving, TOKEN, eventually, ingest, soak};
+use super::rig::{NAME, Place, Serving, TOKEN, eventually, globe, ingest, rest, soak, write_bare};
 
 #[test]
 fn an_insertion_is_visible_when_it_is_answered() {
@@ -48,6 +48,53 @@ fn a_temporary_dataset_leaves_no_file_and_ends_with_the_service() {
     let service = areoid_cache::service::Service::start(&place.options()).unwrap();
     let serving = Serving { place, service };
     assert_eq!(serving.names(), ["other", "pole"]);
+}
+
+#[test]
+fn parts_of_a_temporary_group_go_together() {
+    let serving = Serving::new();
+    let raster = serving.place.path("rasters/globe.tif");
+    write_bare(&raster, 256, 128);
+    let mut more = globe();
+    let options = json!({ "rasters": [raster], "grid": "split", "temporary": true });
+    more.as_object_mut().unwrap().extend(options.as_object().unwrap().clone());
+    let inserted = serving.insert(&serving.place.insertion("globe", more)).text();
+    assert!(inserted.contains("inserted"), "{inserted}");
+    let all = ["globe.band", "globe.north", "globe.south", "pole"];
+    assert_eq!(serving.names(), all);
+    assert_eq!(serving.remove("globe.north").status, 409);
+    assert_eq!(serving.names(), all);
+    assert_eq!(serving.remove("globe").status, 200);
+    assert_eq!(serving.names(), ["pole"]);
+}
+
+#[test]
+fn a_temporary_dataset_of_a_name_that_is_taken_is_refused_before_it_is_built() {
+    let serving = Serving::new();
+    let broken = serving.place.path("rasters/broken.tif");
+    fs::write(&broken, b"II*\0 no raster").unwrap();
+    let more = json!({ "rasters": [broken], "temporary": true });
+    let refused = serving.insert(&serving.place.insertion(NAME, more)).text();
+    assert!(refused.contains("cannot stand in its place"), "{refused}");
+}
+
+#[test]
+fn insertions_that_wait_are_counted_and_one_too_many_is_told_so() {
+    let serving = Serving::with(|options| options.limits.insertions = 2);
+    let begin = |name| serving.begin_to_insert(&serving.place.insertion(name, json!({})));
+    let first = begin("one");
+    eventually("it is under way", || serving.metric("areoid_inserting") == 1.0);
+    let second = begin("two");
+    eventually("it waits", || serving.metric("areoid_inserting") == 2.0);
+    let refused = serving.insert(&serving.place.insertion("three", json!({})));
+    assert_eq!((refused.status, refused.header("retry-after")), (503, "1"));
+    for stream in [first, second] {
+        assert!(rest(stream).unwrap().text().contains("inserted"));
+    }
+    eventually("there is room", || serving.metric("areoid_inserting") == 0.0);
+    let inserted = serving.insert(&serving.place.insertion("three", json!({})));
+    assert!(inserted.text().contains("inserted"));
+    assert_eq!(serving.names(), ["one", "pole", "three", "two"]);
 }
 
 fn listing(place: &Place) -> Vec<String> {

@@ -6,7 +6,9 @@ use std::os::unix::fs::symlink;
 use areoid_cache::service::{Service, ServiceError};
 use serde_json::json;
 
-use super::rig::{Place, Serving, TOKEN, ask, raster};
+use super::rig::{
+    EQUIRECTANGULAR, Place, Serving, TOKEN, ask, eventually, raster, rest, write_bare,
+};
 
 #[test]
 fn a_change_without_a_token_is_refused() {
@@ -96,6 +98,63 @@ fn a_symbolic_link_does_not_lead_out() {
         assert_eq!(serving.insert(&body).status, 403, "{link}");
     }
     assert_eq!(serving.names(), ["pole"]);
+}
+
+/// Checked when it was asked for, a raster was another file by the time that it was opened.
+#[test]
+fn a_raster_that_is_exchanged_while_it_waits_is_refused() {
+    let serving = Serving::new();
+    let place = &serving.place;
+    fs::copy(raster(), place.path("secret.tif")).unwrap();
+    fs::copy(raster(), place.path("rasters/victim.tif")).unwrap();
+    // They keep it waiting.
+    let before: Vec<_> = (0..8)
+        .map(|number| serving.begin_to_insert(&place.insertion(&format!("new{number}"), json!({}))))
+        .collect();
+    let victim = json!({ "rasters": [place.path("rasters/victim.tif")] });
+    let stream = serving.begin_to_insert(&place.insertion("victim", victim));
+    eventually("it waits", || serving.metric("areoid_inserting") >= 2.0);
+    eventually("all are admitted", || {
+        serving.metric("areoid_inserting") + serving.metric("areoid_inserted_total") >= 9.0
+    });
+    fs::remove_file(place.path("rasters/victim.tif")).unwrap();
+    symlink(place.path("secret.tif"), place.path("rasters/victim.tif")).unwrap();
+    let answer = rest(stream).unwrap().text();
+    assert!(answer.contains("not in an allowed folder"), "{answer}");
+    assert!(before.into_iter().all(|one| rest(one).unwrap().text().contains("inserted")));
+    assert!(!serving.names().contains(&"victim".to_owned()));
+}
+
+#[test]
+fn what_lies_beside_a_raster_does_not_lead_out() {
+    let serving = Serving::new();
+    let place = &serving.place;
+    write_bare(&place.path("rasters/bare.tif"), 64, 32);
+    let named = json!({ "rasters": [place.path("rasters/bare.tif")] });
+    let with = |more: serde_json::Value| {
+        let mut all = named.clone();
+        all.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        place.insertion("bare", all)
+    };
+    let cases = [
+        ("tfw", "1000\n0\n0\n-1000\n500\n-500\n", json!({ "crs": EQUIRECTANGULAR })),
+        ("prj", EQUIRECTANGULAR, json!({ "extent": [0, -32000, 64000, 0] })),
+    ];
+    for (kind, text, more) in cases {
+        let (secret, beside) =
+            (place.path("secret"), place.path("rasters/bare").with_extension(kind));
+        fs::write(&secret, text).unwrap();
+        symlink(&secret, &beside).unwrap();
+        let refused = serving.insert(&with(more.clone())).text();
+        assert!(refused.contains("not in an allowed folder"), "{kind}: {refused}");
+        assert_eq!(serving.names(), ["pole"], "{kind}");
+        fs::remove_file(&beside).unwrap();
+        fs::copy(&secret, &beside).unwrap();
+        let inserted = serving.insert(&with(more)).text();
+        assert!(inserted.contains("inserted"), "{kind}: {inserted}");
+        assert_eq!(serving.remove("bare").status, 200);
+        fs::remove_file(&beside).unwrap();
+    }
 }
 
 #[test]

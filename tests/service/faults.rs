@@ -98,6 +98,50 @@ fn a_header_that_comes_too_slowly_ends_the_connection() {
     eventually("the connections are gone", || serving.metric("areoid_connections") < 2.0);
 }
 
+/// Nothing else may come on a connection while a header has not ended: it kept its place for ever.
+#[test]
+fn an_http2_header_that_never_ends_ends_the_connection() {
+    let serving = Serving::with(|options| {
+        options.limits.header = Duration::from_millis(300);
+        options.limits.stalled = Duration::from_secs(3600);
+    });
+    let settings = [0, 0, 0, 4, 0, 0, 0, 0, 0];
+    // Of 16,384 bytes, on the first stream; its end is not marked.
+    let header = [0, 0x40, 0, 1, 0, 0, 0, 0, 1];
+    for begun in [&b""[..], &settings, &[settings, header].concat()] {
+        let mut stream = connect(serving.address());
+        stream.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").unwrap();
+        stream.write_all(begun).unwrap();
+        eventually("it is taken", || serving.metric("areoid_connections") >= 2.0);
+        eventually("it is given up", || {
+            // A byte at a time.
+            let _ = stream.write_all(&[0]);
+            serving.metric("areoid_connections") < 2.0
+        });
+    }
+    assert_eq!(serving.get("/v1/catalog").status, 200);
+}
+
+#[test]
+fn a_client_that_takes_little_all_the_time_is_given_up() {
+    let serving = Serving::with(|options| options.limits.stalled = Duration::from_secs(1));
+    let (_, file) = serving.subject();
+    let mut stream = connect(serving.address());
+    for _ in 0..50 {
+        let _ = write!(stream, "GET /v1/archives/{file} HTTP/1.1\r\nhost: here\r\n\r\n");
+    }
+    eventually("it is begun", || serving.metric("areoid_requests_in_flight") == 1.0);
+    let start = Instant::now();
+    eventually("it is given up", || {
+        // A piece of 256 KiB would take it more than a second, but it never takes nothing for as long.
+        std::thread::sleep(Duration::from_millis(90));
+        let _ = stream.read(&mut [0; 16 << 10]);
+        serving.metric("areoid_requests_in_flight") == 0.0
+    });
+    assert!(start.elapsed() < LONG / 2, "{:?}", start.elapsed());
+    assert_eq!(serving.get("/v1/catalog").status, 200);
+}
+
 #[test]
 fn a_client_that_takes_nothing_is_given_up() {
     let serving = Serving::with(|options| options.limits.stalled = Duration::from_millis(300));

@@ -3,6 +3,7 @@
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -144,6 +145,37 @@ fn without_descriptors_it_lives_and_goes_on() {
         exchange(process.public, b"GET /v1/catalog HTTP/1.0\r\n\r\n")
             .is_some_and(|answer| answer.status == 200)
     });
+}
+
+/// The insertion outlived its client, and the service did not wait for it.
+#[test]
+fn asked_to_end_during_an_insertion_that_nobody_waits_for_it_leaves_nothing() {
+    let place = Place::new();
+    let globe = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo/mars/mola_height_8ppd.tif");
+    fs::copy(globe, place.path("rasters/globe.tif")).unwrap();
+    let mut process = Process::start(&place, "");
+    let body = place.insertion("new", json!({ "rasters": [place.path("rasters/globe.tif")] }));
+    let mut stream = connect(process.admin);
+    write!(
+        stream,
+        "POST /v1/datasets HTTP/1.1\r\nhost: here\r\nauthorization: Bearer {TOKEN}\r\ncontent-length: {}\r\n\r\n{body}",
+        body.len()
+    )
+    .unwrap();
+    let builds = || fs::read_dir(place.catalog().join("build")).map_or(0, Iterator::count);
+    eventually("it builds", || builds() > 0);
+    drop(stream);
+    process.signal("-TERM");
+    assert!(process.child.wait().unwrap().success());
+    assert_eq!(builds(), 0);
+    assert!(
+        !place
+            .catalog()
+            .join("archives")
+            .read_dir()
+            .unwrap()
+            .any(|entry| { entry.unwrap().file_name().to_string_lossy().starts_with("new") })
+    );
 }
 
 #[test]

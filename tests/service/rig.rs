@@ -12,6 +12,8 @@ use std::time::{Duration, Instant};
 use areoid_cache::service::{Admin, Limits, Options, Service};
 use serde_json::{Value, json};
 use tempfile::TempDir;
+use tiff::encoder::TiffEncoder;
+use tiff::encoder::colortype::GrayI16;
 
 pub(crate) const TOKEN: &str = "a token of some length";
 pub(crate) const NAME: &str = "pole";
@@ -48,6 +50,21 @@ pub(crate) fn copy(from: &Path, to: &Path) {
         }
     }
 }
+
+/// Heights, in a file that does not say where they lie.
+pub(crate) fn write_bare(path: &Path, width: u32, height: u32) {
+    let heights: Vec<i16> = (0..width * height).map(|place| (place % 997) as i16).collect();
+    let mut encoder = TiffEncoder::new(fs::File::create(path).unwrap()).unwrap();
+    encoder.write_image::<GrayI16>(width, height, &heights).unwrap();
+}
+
+/// Where they lie: Mars's globe.
+pub(crate) fn globe() -> Value {
+    let (east, north) = (10_669_445.6, 5_334_722.8);
+    json!({ "crs": EQUIRECTANGULAR, "extent": [-east, -north, east, north] })
+}
+
+pub(crate) const EQUIRECTANGULAR: &str = "+proj=eqc +R=3396190 +units=m";
 
 /// A folder with a catalog, a token, and rasters that may be inserted.
 pub(crate) struct Place {
@@ -143,14 +160,19 @@ pub(crate) fn connect(address: SocketAddr) -> TcpStream {
     stream
 }
 
+/// What the server has to say yet.
+pub(crate) fn rest(mut stream: TcpStream) -> Option<Answer> {
+    let mut answer = Vec::new();
+    let _ = stream.read_to_end(&mut answer);
+    Answer::parse(&answer)
+}
+
 /// Sends bytes and reads until the server has no more to say.
 pub(crate) fn exchange(address: SocketAddr, bytes: &[u8]) -> Option<Answer> {
     let mut stream = connect(address);
     // A server that has refused already does not read on.
     let _ = stream.write_all(bytes);
-    let mut answer = Vec::new();
-    let _ = stream.read_to_end(&mut answer);
-    Answer::parse(&answer)
+    rest(stream)
 }
 
 pub(crate) fn ask(
@@ -215,6 +237,18 @@ impl Serving {
     pub(crate) fn insert(&self, body: &str) -> Answer {
         let token = format!("Bearer {TOKEN}");
         ask(self.admin(), "POST", "/v1/datasets", &[("authorization", &token)], body)
+    }
+
+    /// Asks for an insertion and does not wait for the answer.
+    pub(crate) fn begin_to_insert(&self, body: &str) -> TcpStream {
+        let mut stream = connect(self.admin());
+        let length = body.len();
+        write!(
+            stream,
+            "POST /v1/datasets HTTP/1.1\r\nhost: here\r\nconnection: close\r\nauthorization: Bearer {TOKEN}\r\ncontent-length: {length}\r\n\r\n{body}"
+        )
+        .unwrap();
+        stream
     }
 
     pub(crate) fn remove(&self, name: &str) -> Answer {

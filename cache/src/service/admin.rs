@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 
 use areoid_formats::catalog::{CatalogError, RealDisk, remove_dataset};
+use areoid_preprocess::raster::Fence;
 use bytes::Bytes;
 use http_body_util::{BodyExt as _, LengthLimitError, Limited};
 use hyper::body::Incoming;
@@ -13,6 +14,7 @@ use hyper::header::{AUTHORIZATION, HeaderMap, HeaderValue};
 use hyper::{Method, Request, StatusCode};
 use serde_json::json;
 use subtle::ConstantTimeEq as _;
+use tokio::sync::Semaphore;
 use tokio::task::spawn_blocking;
 use tracing::info;
 
@@ -34,13 +36,15 @@ pub(super) struct Gate {
     token: Option<Vec<u8>>,
     /// Without symbolic links.
     allowed: Vec<PathBuf>,
+    /// Those of insertions, under way or waiting.
+    pub(super) places: Arc<Semaphore>,
     /// Held by the one insertion under way; others wait in turn.
     pub(super) turn: tokio::sync::Mutex<()>,
 }
 
 impl Gate {
-    /// Reads the token, and refuses to be open to the world without one.
-    pub(super) fn open(admin: &Admin) -> Result<Self, ServiceError> {
+    /// Reads the token, and refuses to be open to the world without one; with places for so many insertions.
+    pub(super) fn open(admin: &Admin, insertions: usize) -> Result<Self, ServiceError> {
         let token = admin.token_file.as_ref().map(|path| read_token(path)).transpose()?;
         if token.is_none() && !admin.listen.ip().is_loopback() {
             return Err(ServiceError::Exposed { address: admin.listen });
@@ -50,7 +54,8 @@ impl Gate {
             folder.canonicalize().map_err(failed)
         });
         let allowed = allowed.collect::<Result<_, _>>()?;
-        Ok(Self { token, allowed, turn: tokio::sync::Mutex::new(()) })
+        let places = Arc::new(Semaphore::new(insertions));
+        Ok(Self { token, allowed, places, turn: tokio::sync::Mutex::new(()) })
     }
 
     /// Refuses whoever has not the token.
@@ -131,6 +136,11 @@ async fn insert(
     request: Request<Incoming>,
 ) -> Result<Answer, Refusal> {
     gate.check(request.headers())?;
+    let Ok(place) = Arc::clone(&gate.places).try_acquire_owned() else {
+        hub.metrics.refused.fetch_add(1, Relaxed);
+        let reason = "too many insertions are waiting";
+        return Err(Refusal::new(StatusCode::SERVICE_UNAVAILABLE, reason));
+    };
     let refused = |reason: String| Refusal::new(StatusCode::BAD_REQUEST, reason);
     let body = Limited::new(request.into_body(), BODY_BYTES).collect();
     let body = tokio::time::timeout(std::time::Duration::from_secs(10), body).await;
@@ -159,13 +169,16 @@ async fn insert(
     });
     let asked = admitted.await.map_err(|error| refused(error.to_string()))??;
     let lifetime = asked.lifetime();
-    let request = asked.request(folder).map_err(refused)?;
-    Ok(mutate::insert(hub, gate, request, lifetime))
+    let mut request = asked.request(folder).map_err(refused)?;
+    // What was admitted may be something else by the time that it is opened, and files beside it are
+    // opened, too.
+    request.reading.within = Some(Fence::new(gate.allowed.clone()));
+    Ok(mutate::insert(hub, gate, place, request, lifetime))
 }
 
 async fn remove(hub: Arc<Hub>, name: String) -> Answer {
     let removed = spawn_blocking(move || {
-        let temporary = hub.take(&name);
+        let temporary = hub.take(&name)?;
         let removed = match remove_dataset(&RealDisk, hub.folder(), &name) {
             Err(CatalogError::NoSuchDataset { .. }) if temporary => Ok(()),
             removed => removed.map(|_| ()),

@@ -2,9 +2,10 @@
 
 use std::io;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::task::{Context, Poll};
 
-use bytes::Bytes;
+use bytes::{Buf, Bytes};
 use hyper::body::{Body, Frame, SizeHint};
 use hyper::header::{
     CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, ETAG, HeaderMap, HeaderValue, IF_NONE_MATCH,
@@ -14,17 +15,44 @@ use hyper::{Response, StatusCode};
 use serde_json::{Value, json};
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 
+use super::watch::{Asked, Waiting};
+
 /// For what never changes under its URL.
 pub(super) const IMMUTABLE: HeaderValue =
     HeaderValue::from_static("public, max-age=31536000, immutable");
 /// For what is to be asked for again, with its tag.
 pub(super) const REVALIDATE: HeaderValue = HeaderValue::from_static("no-cache");
 
-/// The body of an answer. It holds its request's place among those in flight.
+/// The body of an answer. It holds its request's place among those in flight, and so do its pieces until
+/// they are sent.
 #[derive(Debug)]
 pub(super) struct Content {
     from: From,
-    _permit: Option<OwnedSemaphorePermit>,
+    permit: Option<Arc<OwnedSemaphorePermit>>,
+    asked: Option<Arc<Asked>>,
+}
+
+/// Bytes on their way to the client.
+#[derive(Debug)]
+pub(super) struct Piece {
+    bytes: Bytes,
+    _waiting: Option<Waiting>,
+    _permit: Option<Arc<OwnedSemaphorePermit>>,
+    _asked: Option<Arc<Asked>>,
+}
+
+impl Buf for Piece {
+    fn remaining(&self) -> usize {
+        self.bytes.len()
+    }
+
+    fn chunk(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    fn advance(&mut self, count: usize) {
+        self.bytes.advance(count);
+    }
 }
 
 #[derive(Debug)]
@@ -37,17 +65,35 @@ enum From {
 pub(super) type Answer = Response<Content>;
 
 impl Content {
+    fn new(from: From) -> Self {
+        Self { from, permit: None, asked: None }
+    }
+
     pub(super) fn whole(bytes: impl Into<Bytes>) -> Self {
         let bytes: Bytes = bytes.into();
-        Self { from: From::Memory((!bytes.is_empty()).then_some(bytes)), _permit: None }
+        Self::new(From::Memory((!bytes.is_empty()).then_some(bytes)))
     }
 
     pub(super) fn pieces(pieces: mpsc::Receiver<io::Result<Bytes>>, length: Option<u64>) -> Self {
-        Self { from: From::Pieces(pieces, length), _permit: None }
+        Self::new(From::Pieces(pieces, length))
     }
 
     pub(super) fn holding(self, permit: OwnedSemaphorePermit) -> Self {
-        Self { _permit: Some(permit), ..self }
+        Self { permit: Some(Arc::new(permit)), ..self }
+    }
+
+    /// Of a request that its connection watches.
+    pub(super) fn watched(self, asked: Arc<Asked>) -> Self {
+        Self { asked: Some(asked), ..self }
+    }
+
+    fn piece(&self, bytes: Bytes) -> Frame<Piece> {
+        Frame::data(Piece {
+            _waiting: self.asked.as_ref().map(|asked| asked.piece(bytes.len())),
+            _permit: self.permit.clone(),
+            _asked: self.asked.clone(),
+            bytes,
+        })
     }
 
     fn length(&self) -> Option<u64> {
@@ -59,15 +105,15 @@ impl Content {
 }
 
 impl Body for Content {
-    type Data = Bytes;
+    type Data = Piece;
     type Error = io::Error;
 
     fn poll_frame(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
-    ) -> Poll<Option<io::Result<Frame<Bytes>>>> {
-        match &mut self.from {
-            From::Memory(bytes) => Poll::Ready(bytes.take().map(|bytes| Ok(Frame::data(bytes)))),
+    ) -> Poll<Option<io::Result<Frame<Piece>>>> {
+        let next = match &mut self.from {
+            From::Memory(bytes) => Poll::Ready(bytes.take().map(Ok)),
             From::Pieces(pieces, length) => pieces.poll_recv(context).map(|piece| {
                 let short = length.is_some_and(|left| left > 0);
                 match piece {
@@ -77,11 +123,12 @@ impl Body for Content {
                         if let (Ok(piece), Some(left)) = (&piece, length) {
                             *left = left.saturating_sub(piece.len() as u64);
                         }
-                        Some(piece.map(Frame::data))
+                        Some(piece)
                     }
                 }
             }),
-        }
+        };
+        next.map(|next| next.map(|piece| piece.map(|bytes| self.piece(bytes))))
     }
 
     fn is_end_stream(&self) -> bool {
@@ -125,9 +172,13 @@ impl Refusal {
 
     pub(super) fn answer(self) -> Answer {
         let mut answer = error(self.status, self.reason);
-        if self.status == StatusCode::UNAUTHORIZED {
-            answer.headers_mut().insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
-        }
+        let more = match self.status {
+            StatusCode::UNAUTHORIZED => Some((WWW_AUTHENTICATE, "Bearer")),
+            StatusCode::SERVICE_UNAVAILABLE => Some((RETRY_AFTER, "1")),
+            _ => None,
+        };
+        let more = more.map(|(name, value)| (name, HeaderValue::from_static(value)));
+        answer.headers_mut().extend(more);
         answer
     }
 }
@@ -138,9 +189,7 @@ pub(super) fn not_found(what: impl std::fmt::Display) -> Answer {
 
 /// There is too much to do just now.
 pub(super) fn overloaded() -> Answer {
-    let mut answer = error(StatusCode::SERVICE_UNAVAILABLE, "too many requests are in flight");
-    answer.headers_mut().insert(RETRY_AFTER, HeaderValue::from_static("1"));
-    answer
+    Refusal::new(StatusCode::SERVICE_UNAVAILABLE, "too many requests are in flight").answer()
 }
 
 /// With a tag and how long it may be kept; without its body if whoever asks has it.

@@ -14,6 +14,7 @@ use tracing::debug;
 
 use super::metrics::{Gauges, Metrics};
 use super::pages::StoredPage;
+use super::shelf::Shelf;
 use super::snapshot::{Served, Snapshot};
 
 /// Which page of what is served.
@@ -44,6 +45,7 @@ pub(super) struct Hub {
     /// Held by the one thread that makes the next snapshot.
     changing: Mutex<()>,
     pub(super) pages: Cache<PageKey, Arc<StoredPage>, PageBytes>,
+    pub(super) shelf: Shelf,
     pub(super) events: broadcast::Sender<Arc<str>>,
     pub(super) stopping: watch::Sender<bool>,
     pub(super) metrics: Metrics,
@@ -65,6 +67,7 @@ impl Hub {
             now,
             changing: Mutex::new(()),
             pages: Cache::with_weighter(pages.clamp(16, 1 << 20), memory_bytes, PageBytes),
+            shelf: Shelf::new(),
             events: broadcast::Sender::new(EVENTS),
             stopping: watch::Sender::new(false),
             metrics: Metrics::default(),
@@ -114,12 +117,21 @@ impl Hub {
     }
 
     /// Takes away what is temporary and answers to `name`; whether there was any.
-    pub(super) fn take(&self, name: &str) -> bool {
-        self.change_temporary(|datasets| {
+    ///
+    /// # Errors
+    ///
+    /// [`CatalogError::Part`]: parts of a group go together.
+    pub(super) fn take(&self, name: &str) -> Result<bool, CatalogError> {
+        let now = self.now();
+        let part = now.datasets.get(name).filter(|served| served.temporary);
+        if let Some(group) = part.and_then(|served| served.record.group.clone()) {
+            return Err(CatalogError::Part { name: name.to_owned(), group });
+        }
+        Ok(self.change_temporary(|datasets| {
             let all = datasets.len();
             datasets.retain(|_, served| !(served.temporary && served.record.answers_to(name)));
             datasets.len() < all
-        })
+        }))
     }
 
     fn change_temporary(

@@ -19,7 +19,9 @@ use tracing::{debug, trace};
 
 use super::answer::Answer;
 use super::hub::{Hub, stopped};
+use super::lanes::{Counted, Handed, Lane};
 use super::stream::Patient;
+use super::watch::{Over, Watch};
 
 /// What a connection may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,8 +32,10 @@ pub struct Limits {
     pub requests: usize,
     /// How long a request's header may take to come, idle time included.
     pub header: Duration,
-    /// How long a client may take nothing of what is sent to it.
+    /// How long a client may take nothing of what is sent to it, or less than 256 KiB of it.
     pub stalled: Duration,
+    /// Insertions at a time: one under way, and those that wait for it.
+    pub insertions: usize,
     /// How long requests in flight have when the service is asked to end.
     pub drain: Duration,
 }
@@ -43,6 +47,7 @@ impl Default for Limits {
             requests: 1024,
             header: Duration::from_secs(30),
             stalled: Duration::from_secs(30),
+            insertions: 16,
             drain: Duration::from_secs(10),
         }
     }
@@ -54,14 +59,18 @@ const HEADER_BYTES: u32 = 32 << 10;
 const HEADERS: usize = 64;
 /// Requests at a time on one connection of HTTP/2.
 const STREAMS: u32 = 64;
+/// How long a client may take to hear that its connection ends.
+const GOODBYE: Duration = Duration::from_secs(5);
 /// How long to wait when the system has no descriptor left.
 const BREATH: Duration = Duration::from_millis(50);
 /// What a connection too many is told.
 const REFUSAL: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: 0\r\n\r\n";
 
-/// Takes connections until the service stops; they end by themselves. Each answers with `respond`.
+/// Takes connections until the service stops, for this thread's lane or another's; they end by themselves.
+/// Each answers with `respond`.
 pub(super) async fn accept<F, R>(
     listener: TcpListener,
+    mut lane: Lane,
     hub: Arc<Hub>,
     places: Arc<Semaphore>,
     limits: Limits,
@@ -75,6 +84,12 @@ pub(super) async fn accept<F, R>(
         let accepted = tokio::select! {
             biased;
             () = stopped(&mut stopping) => return,
+            Handed { stream, peer, place, counted } = lane.handed() => {
+                if let Ok(stream) = TcpStream::from_std(stream) {
+                    begin(stream, peer, (place, counted), &hub, limits, respond.clone());
+                }
+                continue;
+            }
             accepted = listener.accept() => accepted,
         };
         let (stream, peer) = match accepted {
@@ -92,17 +107,38 @@ pub(super) async fn accept<F, R>(
             refuse(stream);
             continue;
         };
-        let (hub, respond) = (Arc::clone(&hub), respond.clone());
-        tokio::spawn(async move {
-            hub.metrics.connections.fetch_add(1, Relaxed);
-            let ended =
-                connection(stream, &hub, limits, move |request| respond(request, peer), place);
-            if let Err(error) = ended.await {
-                trace!(%peer, error, "connection ended");
-            }
-            hub.metrics.connections.fetch_sub(1, Relaxed);
-        });
+        let counted = lane.count();
+        if lane.has(&counted) {
+            begin(stream, peer, (place, counted), &hub, limits, respond.clone());
+        } else {
+            // If it is not taken any more, the service ends.
+            lane.hand(stream, peer, place, counted);
+        }
     }
+}
+
+/// Serves a connection on this thread.
+fn begin<F, R>(
+    stream: TcpStream,
+    peer: SocketAddr,
+    place: (OwnedSemaphorePermit, Counted),
+    hub: &Arc<Hub>,
+    limits: Limits,
+    respond: F,
+) where
+    F: Fn(Request<Incoming>, SocketAddr) -> R + Clone + Send + Sync + 'static,
+    R: Future<Output = Answer> + Send + 'static,
+{
+    let hub = Arc::clone(hub);
+    tokio::spawn(async move {
+        hub.metrics.connections.fetch_add(1, Relaxed);
+        let ended = connection(stream, &hub, limits, move |request| respond(request, peer));
+        if let Err(error) = ended.await {
+            trace!(%peer, error, "connection ended");
+        }
+        hub.metrics.connections.fetch_sub(1, Relaxed);
+        drop(place);
+    });
 }
 
 /// Says that there are too many, if the client takes it at once.
@@ -116,7 +152,6 @@ async fn connection<F, R>(
     hub: &Arc<Hub>,
     limits: Limits,
     respond: F,
-    _place: OwnedSemaphorePermit,
 ) -> Result<(), String>
 where
     F: Fn(Request<Incoming>) -> R + Clone + Send + 'static,
@@ -133,12 +168,16 @@ where
         let _ = stream.shutdown().await;
         return Ok(());
     };
-    let io = TokioIo::new(Patient::new(stream, limits.stalled));
+    let watch = Watch::new(limits.stalled);
+    let watched = Arc::clone(&watch);
+    let io = TokioIo::new(Patient::new(stream, Arc::clone(hub), limits.stalled));
     let service = service_fn(move |request| {
-        let answer = respond(request);
-        async move { Ok::<_, Infallible>(answer.await) }
+        let (asked, answer) = (watched.request(), respond(request));
+        async move { Ok::<_, Infallible>(answer.await.map(|content| content.watched(asked))) }
     });
-    // Both kinds of connection, told to end when the service stops.
+    // HTTP/1.1 has a clock of its own for headers.
+    let idle = is_http2.then_some(limits.header);
+    // Both kinds of connection, told to end when the service stops or nothing is asked any more.
     macro_rules! serve {
         ($connection:expr) => {{
             let mut connection = std::pin::pin!($connection);
@@ -147,6 +186,13 @@ where
                 () = stopped(&mut stopping) => {
                     connection.as_mut().graceful_shutdown();
                     connection.await
+                }
+                over = watch.over(idle) => match over {
+                    Over::Slow => return Err("what was sent was not taken".to_owned()),
+                    Over::Idle => {
+                        connection.as_mut().graceful_shutdown();
+                        timeout(GOODBYE, connection).await.unwrap_or(Ok(()))
+                    }
                 }
             };
             served.map_err(|error| error.to_string())

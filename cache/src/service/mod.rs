@@ -9,11 +9,15 @@
 //! `cache/HTTP.md` documents what is asked and answered. A core has a runtime of one thread; all of them
 //! take connections from one listener. What may wait for a disk runs on threads that may.
 
+mod watch;
+
 mod answer;
 
 mod snapshot;
 
 mod metrics;
+
+mod shelf;
 
 mod pages;
 
@@ -24,6 +28,8 @@ mod archives;
 mod public;
 
 mod stream;
+
+mod lanes;
 
 mod listen;
 

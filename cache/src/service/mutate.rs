@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 
 use areoid_preprocess::build::Proceed;
-use areoid_preprocess::ingest::{Event, Request};
+use areoid_preprocess::ingest::{Event, IngestError, Request};
 use bytes::Bytes;
 use serde_json::{Value, json};
-use tokio::sync::mpsc;
+use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio::task::spawn_blocking;
 use tracing::{info, warn};
 
@@ -22,13 +22,14 @@ use crate::words::in_words;
 pub(super) fn insert(
     hub: Arc<Hub>,
     gate: Arc<Gate>,
+    place: OwnedSemaphorePermit,
     request: Request,
     lifetime: Lifetime,
 ) -> Answer {
     let (sender, pieces) = mpsc::channel(16);
     let inserting = Inserting::new(&hub);
     tokio::spawn(async move {
-        let _inserting = inserting;
+        let (_inserting, _place) = (inserting, place);
         let _turn = gate.turn.lock().await;
         let teller = sender.clone();
         let working = Arc::clone(&hub);
@@ -44,6 +45,9 @@ pub(super) fn insert(
                 }
                 if working.is_stopping() { Proceed::No } else { Proceed::Yes }
             };
+            if working.is_stopping() {
+                return Err(IngestError::Interrupted.into());
+            }
             let body = working.now().body.clone();
             let inserted = insertion::insert(request, lifetime, &body, watch)?;
             show(&working, inserted)

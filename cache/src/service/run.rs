@@ -13,6 +13,7 @@ use tracing::{info, warn};
 
 use super::admin::{self, Gate};
 use super::hub::{Hub, stopped};
+use super::lanes::Lane;
 use super::listen::accept;
 use super::options::{Options, ServiceError};
 use super::public;
@@ -46,7 +47,11 @@ impl Service {
     ///
     /// Any [`ServiceError`].
     pub fn start(options: &Options) -> Result<Self, ServiceError> {
-        let gate = options.admin.as_ref().map(Gate::open).transpose()?;
+        let gate = options
+            .admin
+            .as_ref()
+            .map(|admin| Gate::open(admin, options.limits.insertions))
+            .transpose()?;
         crate::insertion::sweep_temporary(&options.folder);
         let limits = options.limits;
         let hub = Hub::open(&options.folder, options.memory_bytes, limits.requests)?;
@@ -74,7 +79,8 @@ impl Service {
     ) -> Result<(), ServiceError> {
         let limits = options.limits;
         let cores = || thread::available_parallelism().map_or(1, usize::from);
-        for number in 0..options.threads.unwrap_or_else(cores).max(1) {
+        let threads = options.threads.unwrap_or_else(cores).max(1);
+        for (number, lane) in Lane::all(threads).into_iter().enumerate() {
             let listener = listener.try_clone().map_err(ServiceError::Threads)?;
             let (hub, places) = (Arc::clone(&self.hub), Arc::clone(places));
             let runtime = runtime(READS)?;
@@ -82,7 +88,7 @@ impl Service {
                 let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
                 let asked = Arc::clone(&hub);
                 let respond = move |request, _| public::answer(Arc::clone(&asked), request);
-                accept(listener, hub, Arc::clone(&places), limits, respond).await;
+                accept(listener, lane, hub, Arc::clone(&places), limits, respond).await;
                 drained(places, limits.connections, limits.drain).await;
             })?;
         }
@@ -93,13 +99,19 @@ impl Service {
         self.spawn("areoid-control".to_owned(), runtime, async move {
             tokio::spawn(follow(Arc::clone(&hub)));
             let listener = admin.and_then(|admin| tokio::net::TcpListener::from_std(admin).ok());
-            if let (Some(listener), Some(gate)) = (listener, gate.map(Arc::new)) {
+            let lane = Lane::all(1).pop();
+            if let (Some(listener), Some(lane), Some(gate)) = (listener, lane, gate.map(Arc::new)) {
+                let insertions = Arc::clone(&gate.places);
                 let places = Arc::new(Semaphore::new(ADMIN_CONNECTIONS));
                 let asked = Arc::clone(&hub);
                 let respond =
                     move |request, _| admin::answer(Arc::clone(&asked), Arc::clone(&gate), request);
-                accept(listener, hub, Arc::clone(&places), limits, respond).await;
-                drained(places, ADMIN_CONNECTIONS, limits.drain).await;
+                accept(listener, lane, hub, Arc::clone(&places), limits, respond).await;
+                // An insertion hears that it is to end, and takes away what it has made.
+                tokio::join!(
+                    drained(places, ADMIN_CONNECTIONS, limits.drain),
+                    drained(insertions, limits.insertions, limits.drain)
+                );
             } else {
                 // Nobody can hear that the hub is gone while this holds it.
                 stopped(&mut hub.stopping.subscribe()).await;

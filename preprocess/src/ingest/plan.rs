@@ -23,7 +23,7 @@ use crate::feather::FEATHER_TEXELS;
 use crate::mosaic::{Layout, Mosaic, MosaicError};
 use crate::normals::Normals;
 use crate::origin::Origin;
-use crate::raster::{self, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
+use crate::raster::{self, Fence, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
 use crate::resample::kernel::RangeLimit;
 use crate::resample::target::{Split, TargetMap, TargetRequest, split, target_grid};
 use crate::resample::transform::Precision;
@@ -68,21 +68,13 @@ pub(super) fn plan(
         (None, 1 | 2) => Kind::Height,
         (None, _) => Kind::Color,
     };
-    let called = match &request.name {
-        Some(name) => name.clone(),
-        None => {
-            let stem = first.path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
-            // The heights that normals are made of come from the same file.
-            let what = if kind == Kind::Normal { ".normal" } else { "" };
-            format!("{stem}{what}")
-        }
-    };
+    let called = request.called();
     let layout = Layout::new(rasters, crs)?;
     let placement = layout.placement()?;
     let pixels = u64::from(placement.width) * u64::from(placement.height);
     let origins = threads.install(|| origins(request, layout, placement, kind))?;
-    let files = fingerprints(&request.rasters, watch)?;
     let reading = &request.reading;
+    let files = fingerprints(&request.rasters, reading.within.as_ref(), watch)?;
     let source = Source {
         files,
         crs: reading.crs.clone(),
@@ -208,6 +200,7 @@ pub fn open(
         nodata: reading.nodata,
         body: asked.clone(),
         latitudes: reading.latitudes,
+        within: reading.within.clone(),
     };
     let open_all = |options: &ReadOptions| -> Result<Vec<Arc<dyn Raster>>, RasterError> {
         paths.iter().map(|path| raster::open(path, options).map(Arc::from)).collect()
@@ -259,23 +252,29 @@ pub fn latitudes_name(kind: LatitudeKind) -> &'static str {
 }
 
 /// Names, lengths and contents of files.
-fn fingerprints(paths: &[PathBuf], watch: Watch<'_>) -> Result<Vec<SourceFile>, IngestError> {
+fn fingerprints(
+    paths: &[PathBuf],
+    within: Option<&Fence>,
+    watch: Watch<'_>,
+) -> Result<Vec<SourceFile>, IngestError> {
     let length = |path: &PathBuf| path.metadata().map_or(0, |data| data.len());
     let (mut done, bytes) = (0, paths.iter().map(length).sum());
     let mut count = |read| {
         done += read;
         tell(watch, Event::Hashing { done, bytes })
     };
-    paths.iter().map(|path| fingerprint(path, &mut count)).collect()
+    paths.iter().map(|path| fingerprint(path, within, &mut count)).collect()
 }
 
 /// A file's name, length and content; `count` is told of bytes read.
 fn fingerprint(
     path: &Path,
+    within: Option<&Fence>,
     count: &mut dyn FnMut(u64) -> Result<(), IngestError>,
 ) -> Result<SourceFile, IngestError> {
     let failed = |source: io::Error| CatalogError::io("read", path, source);
     let mut file = File::open(path).map_err(failed)?;
+    within.map_or(Ok(()), |fence| fence.check(&file, path))?;
     // What comes next is read while this is hashed.
     let (mut hash, mut bytes) = (Xxh3::new(), 0);
     let (mut here, mut next) = (Vec::new(), Vec::new());
@@ -314,6 +313,7 @@ pub fn reopen(paths: &[PathBuf], archive: &Archive) -> Result<Box<dyn Truth>, In
         latitudes: [LatitudeKind::Planetographic, LatitudeKind::Planetocentric]
             .into_iter()
             .find(|&kind| source.latitudes.as_deref() == Some(latitudes_name(kind))),
+        within: None,
     };
     let (rasters, crs, _) = open(paths, &reading, Some(&description.body))?;
     let (grid, kind) = (&description.grid, description.kind);

@@ -14,7 +14,7 @@ use crate::build::{Proceed, Progress};
 use crate::build_error::BuildError;
 use crate::estimate::Estimate;
 use crate::mosaic::MosaicError;
-use crate::raster::RasterError;
+use crate::raster::{Fence, RasterError};
 use crate::resample::OtherBody;
 use crate::resample::kernel::{Kernel, RangeLimit};
 use crate::resample::target::{TargetError, TargetMap};
@@ -61,6 +61,33 @@ pub struct Request {
     pub reading: Reading,
 }
 
+impl Request {
+    /// What the dataset, or the group, will be called.
+    #[must_use]
+    pub fn called(&self) -> String {
+        if let Some(name) = &self.name {
+            return name.clone();
+        }
+        let stem = self.rasters.first().and_then(|path| path.file_stem());
+        let stem = stem.and_then(|stem| stem.to_str()).unwrap_or_default();
+        // The heights that normals are made of come from the same file.
+        let what = if self.kind == Some(Kind::Normal) { ".normal" } else { "" };
+        format!("{stem}{what}")
+    }
+
+    /// What its datasets will be called: that name, or those of the group's parts.
+    #[must_use]
+    pub fn datasets(&self) -> Vec<String> {
+        let called = self.called();
+        match self.grid {
+            TargetGrid::One(_) => vec![called],
+            TargetGrid::Split => {
+                ["band", "north", "south"].iter().map(|part| format!("{called}.{part}")).collect()
+            }
+        }
+    }
+}
+
 /// What the texels of a dataset lie on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TargetGrid {
@@ -93,6 +120,8 @@ pub struct Reading {
     pub body: Option<String>,
     /// What latitudes mean.
     pub latitudes: Option<LatitudeKind>,
+    /// Where the rasters and the files beside them must lie; [`Self::crs`] is no file then.
+    pub within: Option<Fence>,
 }
 
 /// What an ingest tells of itself, in this order. The answer is heeded, but of the last. Of parts

@@ -122,6 +122,13 @@ pub enum RasterError {
         change: String,
     },
 
+    /// A file that lies where none may be read for whoever asked.
+    #[error("not in an allowed folder: {}", path.display())]
+    Outside {
+        /// The file, as it was named.
+        path: PathBuf,
+    },
+
     /// The operating system refused.
     #[error("cannot {action} {}", path.display())]
     Io {

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use super::error::RasterError;
+use super::fence::Fence;
 
 /// An open file and its length.
 ///
@@ -17,8 +18,8 @@ pub(crate) struct PositionedFile {
 }
 
 impl PositionedFile {
-    /// Opens a regular file.
-    pub(crate) fn open(path: &Path) -> Result<Self, RasterError> {
+    /// Opens a regular file, which must lie `within`.
+    pub(crate) fn open(path: &Path, within: Option<&Fence>) -> Result<Self, RasterError> {
         // Asked first: opening a pipe would wait for a writer.
         let metadata = std::fs::metadata(path).map_err(RasterError::io("open", path))?;
         if !metadata.is_file() {
@@ -26,6 +27,7 @@ impl PositionedFile {
             return Err(RasterError::not_supported(path, found, "a raster file"));
         }
         let file = File::open(path).map_err(RasterError::io("open", path))?;
+        within.map_or(Ok(()), |fence| fence.check(&file, path))?;
         let witness = Witness::of(&file, path)?;
         Ok(Self { file, witness })
     }
@@ -167,16 +169,20 @@ impl State {
     }
 }
 
-/// A small text file, such as a world file; `None` if there is none.
+/// A small text file, such as a world file, which must lie `within`; `None` if there is none.
 ///
 /// Bytes that are no UTF-8 become replacement characters.
-pub(crate) fn read_text(path: &Path) -> Result<Option<(String, Witness)>, RasterError> {
+pub(crate) fn read_text(
+    path: &Path,
+    within: Option<&Fence>,
+) -> Result<Option<(String, Witness)>, RasterError> {
     const MOST_BYTES: u64 = 1 << 20;
     let file = match File::open(path) {
         Ok(file) => file,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(RasterError::io("open", path)(error)),
     };
+    within.map_or(Ok(()), |fence| fence.check(&file, path))?;
     let witness = Witness::of(&file, path)?;
     let mut bytes = Vec::new();
     file.take(MOST_BYTES).read_to_end(&mut bytes).map_err(RasterError::io("read", path))?;
@@ -192,7 +198,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.tif");
         std::fs::write(&path, bytes).unwrap();
-        let file = PositionedFile::open(&path).unwrap();
+        let file = PositionedFile::open(&path, None).unwrap();
         (folder, path, file)
     }
 

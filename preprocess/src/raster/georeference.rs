@@ -9,6 +9,7 @@ use areoid_formats::projection::{Crs, Projection};
 use super::ReadOptions;
 use super::crs::{MapCrs, ParseCrsError};
 use super::error::RasterError;
+use super::fence::Fence;
 use super::file::{Witness, read_text};
 use super::outline::{Outline, Rows, Steps};
 use super::world_file;
@@ -42,12 +43,16 @@ pub(crate) fn place(
 ) -> Result<Placed, RasterError> {
     let mut beside = Vec::new();
     let map = match &options.crs {
-        Some(text) => Some(
-            MapCrs::from_text_or_file(text).map_err(|source| crs_error(path, "--crs", source))?,
-        ),
+        Some(text) => {
+            let map = match options.within {
+                Some(_) => MapCrs::from_text(text),
+                None => MapCrs::from_text_or_file(text),
+            };
+            Some(map.map_err(|source| crs_error(path, "--crs", source))?)
+        }
         None => match own_crs()? {
             Some(map) => Some(map),
-            None => crs_beside(path)?.map(|(map, witness)| {
+            None => crs_beside(path, options.within.as_ref())?.map(|(map, witness)| {
                 beside.push(witness);
                 map
             }),
@@ -56,7 +61,7 @@ pub(crate) fn place(
     let steps = match own_steps {
         Some(steps) => Some(steps),
         None if options.extent.is_some() => None,
-        None => world_file::read_beside(path)?.map(|(steps, witness)| {
+        None => world_file::read_beside(path, options.within.as_ref())?.map(|(steps, witness)| {
             beside.push(witness);
             steps
         }),
@@ -116,9 +121,12 @@ fn placed_by_steps(
 }
 
 /// The system in a `.prj` file beside the raster.
-fn crs_beside(path: &Path) -> Result<Option<(MapCrs, Witness)>, RasterError> {
+fn crs_beside(
+    path: &Path,
+    within: Option<&Fence>,
+) -> Result<Option<(MapCrs, Witness)>, RasterError> {
     for candidate in prj_candidates(path) {
-        if let Some((text, witness)) = read_text(&candidate)? {
+        if let Some((text, witness)) = read_text(&candidate, within)? {
             let name = candidate.display().to_string();
             return MapCrs::from_text(&text)
                 .map(|map| Some((map, witness)))

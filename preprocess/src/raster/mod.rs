@@ -18,6 +18,7 @@ pub mod convert;
 pub mod crs;
 
 mod error;
+mod fence;
 mod file;
 mod georeference;
 mod image;
@@ -36,6 +37,7 @@ use areoid_formats::projection::Crs;
 pub use self::block_cache::BlockCache;
 pub use self::convert::{Filled, Window, colors_into, heights_into, whole_heights_into};
 pub use self::error::RasterError;
+pub use self::fence::Fence;
 pub use self::outline::Outline;
 pub use self::samples::{SampleType, Samples};
 
@@ -168,6 +170,8 @@ pub struct ReadOptions {
     pub body: Option<Body>,
     /// What the raster's latitudes mean on that body.
     pub latitudes: Option<LatitudeKind>,
+    /// Where the raster and the files beside it must lie. [`Self::crs`] is no file then.
+    pub within: Option<Fence>,
 }
 
 /// Opens a raster and reads all about it but its samples.
@@ -178,7 +182,7 @@ pub struct ReadOptions {
 /// options do not give either.
 pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn Raster>, RasterError> {
     const EXPECTED: &str = "a TIFF, JPEG or PNG file";
-    let file = file::PositionedFile::open(path)?;
+    let file = file::PositionedFile::open(path, options.within.as_ref())?;
     let start = file.read("the file's signature", 0, file.len().min(16))?;
     let mask = PathBuf::from(format!("{}.msk", path.display()));
     if mask.is_file() {

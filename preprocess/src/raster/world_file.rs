@@ -12,6 +12,7 @@
 use std::path::{Path, PathBuf};
 
 use super::error::RasterError;
+use super::fence::Fence;
 use super::file::{Witness, read_text};
 use super::outline::Steps;
 
@@ -33,10 +34,13 @@ pub(crate) fn candidates(path: &Path) -> Vec<PathBuf> {
         .collect()
 }
 
-/// The geotransform of the first world file there is.
-pub(crate) fn read_beside(path: &Path) -> Result<Option<(Steps, Witness)>, RasterError> {
+/// The geotransform of the first world file there is; it must lie `within`.
+pub(crate) fn read_beside(
+    path: &Path,
+    within: Option<&Fence>,
+) -> Result<Option<(Steps, Witness)>, RasterError> {
     for candidate in candidates(path) {
-        if let Some((text, witness)) = read_text(&candidate)? {
+        if let Some((text, witness)) = read_text(&candidate, within)? {
             return parse(&candidate, &text).map(|steps| Some((steps, witness)));
         }
     }
