@@ -103,6 +103,7 @@ fn a_tiny_book_of_the_cache_is_complete() {
     let output = Command::new(env!("CARGO_BIN_EXE_areoid"))
         .args(["bench", "cache", "--json", "--seconds", "0.2", "--share", "0.002", "-o"])
         .arg(folder.path())
+        .args(["--chapter", "frame", "skipping", "ahead", "budget", "lookups", "tree"])
         .current_dir(folder.path())
         .output()
         .unwrap();
@@ -121,4 +122,58 @@ fn a_tiny_book_of_the_cache_is_complete() {
         assert!(!report["chapters"][chapter].is_null(), "{chapter}");
     }
     assert!(!folder.path().join("work").exists());
+}
+
+/// The service's chapters at a size that says nothing, with `path` to look for others in; the report, its
+/// tables, and what is left.
+fn serving(path: Option<&str>) -> (Value, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_areoid"));
+    command.args(["bench", "cache", "--json", "--seconds", "0.2", "--share", "0.04", "-o"]);
+    command.arg(folder.path()).args(["--chapter", "serve", "live"]).current_dir(folder.path());
+    command.envs(path.map(|path| ("PATH", path)));
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(!folder.path().join("work").exists(), "nothing but results stays");
+    let tables = fs::read_to_string(folder.path().join("cache.md")).unwrap();
+    (serde_json::from_slice(&output.stdout).unwrap(), tables)
+}
+
+#[test]
+fn serving_is_not_measured_without_those_who_ask_and_says_so() {
+    let (report, tables) = serving(Some(""));
+    assert!(tables.contains("Absent, and not compared with: nginx, wrk."), "{tables}");
+    let targets = array(&report, "/targets");
+    assert_eq!(targets.len(), 12 + 3);
+    let (serving, live) = targets.split_at(12);
+    assert!(serving.iter().all(|target| target["measured"].is_null()), "{serving:?}");
+    // How soon an insertion is seen is measured by itself.
+    assert!(live[0]["measured"].is_null());
+    for target in &live[1..] {
+        assert!(target["measured"].as_f64().unwrap() < 30.0, "{target}");
+    }
+    assert_eq!(array(&report, "/chapters/serve"), &[] as &[Value]);
+}
+
+#[test]
+fn serving_is_measured_beside_nginx_where_that_is_installed() {
+    let (report, tables) = serving(None);
+    let peers = array(&report, "/peers");
+    if peers.iter().any(|peer| peer["found"] == false) {
+        assert!(tables.contains("Absent, and not compared with: "), "{tables}");
+        return;
+    }
+    let cases = array(&report, "/chapters/serve");
+    assert_eq!(cases.len(), 6);
+    for case in cases {
+        let servers = array(case, "/servers");
+        assert_eq!(servers.len(), 3, "{case}");
+        for server in servers {
+            let runs = array(server, "/runs");
+            assert!(runs.iter().all(|run| run["requests_per_s"].as_f64().unwrap() > 0.0), "{case}");
+            assert!(runs.iter().all(|run| run["p99_ms"].as_f64() >= run["p50_ms"].as_f64()));
+        }
+    }
+    let measured = array(&report, "/targets").iter().filter(|one| one["measured"].is_f64());
+    assert!(measured.count() >= 12 + 2, "{report}");
 }

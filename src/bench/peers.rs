@@ -61,6 +61,21 @@ impl Peers {
         Self { peers }
     }
 
+    /// What serves files over HTTP, and what asks for them.
+    pub(super) fn servers() -> Self {
+        let find = |name| {
+            let found = on_path(name).map(|path| {
+                // Both say it where errors are said, and one takes it for one.
+                let said = Command::new(&path).arg("-v").output();
+                let said = said.map(|said| [said.stderr, said.stdout].concat()).unwrap_or_default();
+                let said = String::from_utf8_lossy(&said).into_owned();
+                (path, said.lines().next().unwrap_or_default().trim().to_owned())
+            });
+            Peer { name, found }
+        };
+        Self { peers: ["nginx", "wrk"].map(find).to_vec() }
+    }
+
     /// Where a program is.
     pub(super) fn program(&self, name: &str) -> Option<&Path> {
         let peer = self.peers.iter().find(|peer| peer.name == name)?;

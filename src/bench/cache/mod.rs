@@ -7,7 +7,8 @@
 //!                                     ├─▶ ahead     what is there before it is needed
 //!                                     ├─▶ budget    memory, and pages decoded twice
 //!                                     ├─▶ lookups   finding and loading a page, in process
-//!                                     └─▶ tree      many boxes, many changes
+//!                                     ├─▶ tree      many boxes, many changes
+//!   service (a server, wrk, nginx) ───┴─▶ serve, live   pages over HTTP, and insertion meanwhile
 //! ```
 
 mod ahead;
@@ -18,6 +19,7 @@ mod lookups;
 mod patches;
 mod planet;
 mod replay;
+mod service;
 mod skipping;
 mod tree;
 
@@ -28,6 +30,7 @@ use std::process::ExitCode;
 
 use serde_json::json;
 
+use self::service::Outside;
 use super::peers::Peers;
 use super::report::{Chapter, Report};
 use crate::failure::Failure;
@@ -35,8 +38,8 @@ use crate::output;
 
 /// The cache: what a frame costs, what is read and what is not, and what is there in time.
 ///
-/// Writes cache.json and cache.md into the folder, and prints the tables. Pages are made up: nothing
-/// is read from a disk.
+/// Writes cache.json and cache.md into the folder, and prints the tables. Pages are made up. Serving is
+/// measured where wrk is installed, and compared with nginx if that is, too.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// The folder for results.
@@ -74,6 +77,10 @@ enum ChapterArg {
     Lookups,
     /// The tree over the datasets.
     Tree,
+    /// Pages over HTTP, beside nginx.
+    Serve,
+    /// Pages over HTTP while a raster is inserted.
+    Live,
 }
 
 /// What all chapters measure with.
@@ -110,8 +117,13 @@ impl Args {
             ChapterArg::Budget,
             ChapterArg::Lookups,
             ChapterArg::Tree,
+            ChapterArg::Serve,
+            ChapterArg::Live,
         ];
         let wanted = if self.chapter.is_empty() { &all[..] } else { &self.chapter };
+        let is_outside = |chapter| matches!(chapter, &ChapterArg::Serve | &ChapterArg::Live);
+        let peers = if wanted.iter().any(is_outside) { Peers::servers() } else { Peers::none() };
+        let outside = Outside { setting, folder: &self.output, peers: &peers };
         let mut chapters: Vec<Chapter> = Vec::new();
         for chapter in wanted {
             output::say(format!("{chapter:?} ..").to_lowercase());
@@ -122,12 +134,14 @@ impl Args {
                 ChapterArg::Budget => budget::measure(setting)?,
                 ChapterArg::Lookups => lookups::measure(setting, &self.output)?,
                 ChapterArg::Tree => tree::measure(setting),
+                ChapterArg::Serve => service::serve(&outside)?,
+                ChapterArg::Live => service::live(&outside)?,
             });
         }
         super::timing::remove(&self.output.join("work"))?;
         let options = json!({ "seconds": self.seconds, "share": self.share });
         let title = "The cache, measured";
-        let report = Report { title, options, peers: Peers::none(), chapters };
+        let report = Report { title, options, peers, chapters };
         let document = report.json();
         let bytes = serde_json::to_vec_pretty(&document).map_err(io::Error::from)?;
         output::write_file(&self.output.join("cache.json"), &bytes)?;
