@@ -5,9 +5,11 @@
 //!   endpoints  what `cache/HTTP.md` says
 //!   entry      nobody enters
 //!   faults     damaged and missing files, clients that misbehave, too many of everything
+//!   full       a disk that fills up during an insertion
 //!   changes    insertion, removal, other processes, and a reader that never sees a mixture
 //!   process    the binary: signals, descriptors, killed during an insertion
 //!   remote     a server read from afar
+//!   server     the binary, for the others
 //! ```
 //!
 //! A short form by default; `AREOID_SOAK=1` makes it 1,000 rounds.
@@ -20,7 +22,9 @@ mod service {
     mod endpoints;
     mod entry;
     mod faults;
+    mod full;
     mod process;
     mod remote;
     mod rig;
+    mod server;
 }

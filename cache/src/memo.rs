@@ -99,6 +99,11 @@ impl Memo {
         unsure.all(|part| self.all_parts(dataset, part, (levels - 1, whole), visited, judge))
     }
 
+    /// Lets go of datasets that no scene to be searched has.
+    pub(crate) fn keep(&mut self, is_there: impl Fn(usize) -> bool) {
+        self.children.retain(|(dataset, _), _| is_there(*dataset));
+    }
+
     /// A search has ended.
     pub(crate) fn end(&mut self) {
         if self.children.len() > Self::MOST_FAMILIES.max(2 * self.used) {

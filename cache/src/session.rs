@@ -223,6 +223,7 @@ impl Session {
         let is_unseen = |bounds: Aabb| lenses.iter().all(|lens| lens.misses_box(&bounds));
         if self.shown.scene.changes(&scene).is_some_and(|mut changes| changes.all(is_unseen)) {
             self.shown.scene = scene;
+            self.memo.keep(|number| self.shown.scene.place(number).is_some());
             self.next = None;
             return;
         }
@@ -301,6 +302,7 @@ impl Session {
     fn adopt(&mut self) {
         if let Some((_, next)) = self.next.take() {
             self.shown = next;
+            self.memo.keep(|number| self.shown.scene.place(number).is_some());
         }
     }
 

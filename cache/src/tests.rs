@@ -2,6 +2,7 @@
 
 mod changing;
 mod culling;
+mod faulty;
 mod frames;
 mod loading;
 mod opening;

@@ -1,63 +1,16 @@
 //! The binary: signals, descriptors, killed during an insertion.
 
 use std::fs;
-use std::io::{BufRead as _, BufReader, Read as _, Write as _};
-use std::net::{SocketAddr, TcpStream};
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
 
 use super::rig::{Place, TOKEN, connect, eventually, exchange, get, soak};
-
-/// A server of a place in a process of its own.
-struct Process {
-    child: Child,
-    public: SocketAddr,
-    admin: SocketAddr,
-}
-
-impl Process {
-    /// Behind what a shell does first.
-    fn start(place: &Place, first: &str) -> Self {
-        let mut child = Command::new("sh")
-            .args([
-                "-c",
-                &format!("{first} exec \"$0\" \"$@\""),
-                env!("CARGO_BIN_EXE_areoid"),
-                "serve",
-            ])
-            .arg(place.catalog())
-            .args(["--listen", "127.0.0.1:0", "--admin", "127.0.0.1:0", "--token-file"])
-            .arg(place.path("token"))
-            .arg("--allow")
-            .arg(place.path("rasters"))
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
-        let line = lines.find(|line| line.starts_with("serving on http://")).unwrap();
-        // Whoever does not read would stop it.
-        thread::spawn(move || lines.for_each(drop));
-        let (public, admin) = line.split_once(", changed on ").unwrap();
-        let public = public.strip_prefix("serving on http://").unwrap().parse().unwrap();
-        Self { child, public, admin: admin.parse().unwrap() }
-    }
-
-    fn signal(&self, signal: &str) {
-        let sent = Command::new("kill").args([signal, &self.child.id().to_string()]).status();
-        assert!(sent.unwrap().success());
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
+use super::server::Process;
 
 /// Asks for an archive more often than any socket buffers, and does not read.
 fn stall(process: &Process, place: &Place) -> TcpStream {
