@@ -8,6 +8,8 @@
 //!   changes    insertion, removal, other processes, and a reader that never sees a mixture
 //!   process    the binary: signals, descriptors, killed during an insertion
 //!   remote     a server read from afar
+//!   sessions   views of a server, as of its folder; restarts
+//!   nonsense   servers that answer nonsense
 //! ```
 //!
 //! A short form by default; `AREOID_SOAK=1` makes it 1,000 rounds.
@@ -20,7 +22,9 @@ mod service {
     mod endpoints;
     mod entry;
     mod faults;
+    mod nonsense;
     mod process;
     mod remote;
     mod rig;
+    mod sessions;
 }
