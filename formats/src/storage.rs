@@ -3,7 +3,6 @@
 use std::fmt;
 use std::fs::File;
 use std::io;
-use std::sync::Arc;
 
 /// The bytes of one archive, read by position.
 ///
@@ -89,17 +88,6 @@ impl ByteSource for Vec<u8> {
     }
 }
 
-/// One source of several owners.
-impl<S: ByteSource + ?Sized> ByteSource for Arc<S> {
-    fn len(&self) -> u64 {
-        (**self).len()
-    }
-
-    fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
-        (**self).read_exact_at(buffer, offset)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -121,7 +109,6 @@ mod tests {
     #[test]
     fn every_source_keeps_the_contract() {
         check(&b"abcd".to_vec());
-        check(&Arc::new(b"abcd".to_vec()));
         let mut file = tempfile::tempfile().unwrap();
         io::Write::write_all(&mut file, b"abcd").unwrap();
         check(&FileSource::new(file).unwrap());

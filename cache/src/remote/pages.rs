@@ -1,5 +1,6 @@
 //! The pages of a dataset on a server, proven, whatever was kept on the disk.
 
+use std::io;
 use std::sync::Arc;
 
 use areoid_formats::address::PageAddress;
@@ -7,6 +8,7 @@ use areoid_formats::archive::index::BLOCK_LEN;
 use areoid_formats::archive::record::RECORD_HEAD_LEN;
 use areoid_formats::archive::{Archive, ArchiveError, PageEntry, Payload};
 use areoid_formats::page::Page;
+use areoid_formats::storage::ByteSource;
 
 use super::source::HttpSource;
 use crate::pages::PageSource;
@@ -19,6 +21,20 @@ pub struct RemotePages {
     source: Arc<HttpSource>,
 }
 
+/// The archive's way to the source that its owner has, too.
+#[derive(Debug)]
+struct Shared(Arc<HttpSource>);
+
+impl ByteSource for Shared {
+    fn len(&self) -> u64 {
+        self.0.len()
+    }
+
+    fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+        self.0.read_exact_at(buffer, offset)
+    }
+}
+
 impl RemotePages {
     /// Reads both ends of the archive.
     ///
@@ -27,7 +43,7 @@ impl RemotePages {
     /// [`ArchiveError`]; a damaged end is one, too: the records of a distant archive are not walked.
     pub fn open(source: HttpSource) -> Result<Self, ArchiveError> {
         let source = Arc::new(source);
-        let open = || Archive::open_afar(Box::new(Arc::clone(&source)));
+        let open = || Archive::open_afar(Box::new(Shared(Arc::clone(&source))));
         let archive = match open() {
             Err(error) if source.is_kept() && !matches!(error, ArchiveError::Read { .. }) => {
                 source.forget_all();
