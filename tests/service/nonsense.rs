@@ -15,11 +15,12 @@ use serde_json::Value;
 use super::rig::{Serving, ask};
 
 /// What is done with a request for a path and a range, if one is asked for.
-type Deed = dyn Fn(&mut TcpStream, &str, Option<(u64, u64)>) -> std::io::Result<()> + Send + Sync;
+type Deed =
+    dyn Fn(&mut TcpStream, &str, Option<(usize, usize)>) -> std::io::Result<()> + Send + Sync;
 
 /// A server of one's own making. It lives as long as its process: nobody waits for it.
 fn server(
-    deed: impl Fn(&mut TcpStream, &str, Option<(u64, u64)>) -> std::io::Result<()>
+    deed: impl Fn(&mut TcpStream, &str, Option<(usize, usize)>) -> std::io::Result<()>
     + Send
     + Sync
     + 'static,
@@ -116,7 +117,7 @@ fn archives_of_nonsense_are_left_out() {
                 return whole(stream, "200 OK", "", catalog.as_bytes());
             }
             let Some((from, to)) = range else { return whole(stream, "404 Not Found", "", b"") };
-            let asked = &bytes[from as usize..=to as usize];
+            let asked = &bytes[from..=to];
             match way {
                 "garbage" => part(
                     stream,
@@ -209,7 +210,7 @@ fn catalogs_of_nonsense_are_refused() {
             Some((from, to)) => {
                 seen.fetch_or(path.contains("..") || path.contains('\u{1b}'), Relaxed);
                 let length = (to - from + 1).min(8 << 20);
-                part(stream, "0123456789abcdef", &vec![0; length as usize])
+                part(stream, "0123456789abcdef", &vec![0; length])
             }
         });
         let cache = open(address).unwrap();
@@ -243,7 +244,7 @@ fn a_damaged_page_is_told_and_no_other() {
         None => whole(stream, "200 OK", "", text.as_bytes()),
         Some((from, to)) => {
             counted.fetch_add(1, Relaxed);
-            let mut part_of = bytes[from as usize..=to as usize].to_vec();
+            let mut part_of = bytes[from..=to].to_vec();
             if damaged.load(Relaxed) {
                 let middle = part_of.len() / 2;
                 part_of[middle] ^= 1;
@@ -284,7 +285,7 @@ fn a_missing_archive_is_asked_for_once() {
             counted.fetch_add(1, Relaxed);
             whole(stream, "404 Not Found", "", b"")
         }
-        Some((from, to)) => part(stream, &content, &bytes[from as usize..=to as usize]),
+        Some((from, to)) => part(stream, &content, &bytes[from..=to]),
     });
     let remote =
         RemoteCatalog::open(&Client::new(&format!("http://{address}")).unwrap(), None).unwrap();
