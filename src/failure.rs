@@ -37,11 +37,11 @@ impl Failure {
             // Whoever reads our output has had enough of it.
             Self::Failed(error) if is_broken_pipe(error.as_ref()) => ExitCode::SUCCESS,
             Self::Failed(error) => {
-                say_why(error.as_ref());
+                say_why("error", error.as_ref());
                 ExitCode::FAILURE
             }
             Self::Unfinished { reason, command } => {
-                say_why(reason.as_ref());
+                say_why("error", reason.as_ref());
                 output::say(format!("to go on: {command}"));
                 ExitCode::FAILURE
             }
@@ -53,8 +53,9 @@ impl Failure {
     }
 }
 
-fn say_why(error: &(dyn Error + 'static)) {
-    output::say(format!("error: {error}"));
+/// Says what went wrong, and on a line for each what that came from.
+pub(crate) fn say_why(what: &str, error: &(dyn Error + 'static)) {
+    output::say(format!("{what}: {error}"));
     for cause in std::iter::successors(error.source(), |&cause| cause.source()) {
         // Some decoders end theirs with a line's end.
         output::say(format!("  caused by: {}", cause.to_string().trim_end()));

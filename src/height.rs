@@ -3,7 +3,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 
+use areoid_cache::place::Place;
+use areoid_cache::remote::{Client, RemoteCatalog, RemotePages};
 use areoid_formats::address::Level;
 use areoid_formats::archive::Archive;
 use areoid_formats::catalog::{Catalog, CatalogError};
@@ -17,9 +20,9 @@ use crate::output;
 /// Say how high the surface is: composed from all height datasets, with its bound.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The catalog.
-    #[arg(value_name = "DIR")]
-    catalog: PathBuf,
+    /// The catalog: its folder, or the address of its server.
+    #[arg(value_name = "DIR|URL")]
+    catalog: Place,
 
     /// A position in degrees, longitude east.
     #[arg(
@@ -62,18 +65,18 @@ impl Args {
             None => Failure::Misused(reason),
         })?;
 
-        let (catalog, archives) = Catalog::open_each(&self.catalog)?;
-        if let Some(name) = &self.dataset {
-            catalog.named(name)?;
-        }
-        let chosen: Vec<Archive> = catalog
-            .datasets()
-            .iter()
-            .zip(archives)
-            .filter(|(record, _)| self.dataset.as_ref().is_none_or(|name| record.answers_to(name)))
-            .map(|(_, archive)| archive)
-            .collect::<Result<_, CatalogError>>()?;
-        let mut query = HeightQuery::new(&chosen, self.level.map(Level));
+        let (near, far);
+        let chosen: Vec<&Archive> = match &self.catalog {
+            Place::Folder(folder) => {
+                near = self.of_folder(folder)?;
+                near.iter().collect()
+            }
+            Place::Server(server) => {
+                far = self.of_server(&Client::new(&server.url)?)?;
+                far.iter().map(|pages| pages.archive()).collect()
+            }
+        };
+        let mut query = HeightQuery::new(chosen.iter().copied(), self.level.map(Level));
         let mut answers = Vec::with_capacity(points.len());
         for position in positions {
             answers.push(query.height(position)?);
@@ -111,6 +114,42 @@ impl Args {
             }
         }
         Ok(ExitCode::SUCCESS)
+    }
+
+    fn of_folder(&self, folder: &Path) -> Result<Vec<Archive>, Failure> {
+        let (catalog, archives) = Catalog::open_each(folder)?;
+        if let Some(name) = &self.dataset {
+            catalog.named(name)?;
+        }
+        let chosen = catalog
+            .datasets()
+            .iter()
+            .zip(archives)
+            .filter(|(record, _)| self.dataset.as_ref().is_none_or(|name| record.answers_to(name)))
+            .map(|(_, archive)| archive)
+            .collect::<Result<_, CatalogError>>()?;
+        Ok(chosen)
+    }
+
+    /// A dataset that cannot be read might have had the last word: without a name, it is an error.
+    fn of_server(&self, server: &Client) -> Result<Vec<Arc<RemotePages>>, Failure> {
+        let RemoteCatalog { datasets, mut problems, .. } = RemoteCatalog::open(server, None)?;
+        let chosen: Vec<_> = datasets
+            .into_iter()
+            .filter(|found| self.dataset.as_ref().is_none_or(|name| found.answers_to(name)))
+            .map(|found| found.pages)
+            .collect();
+        match (problems.pop(), &self.dataset) {
+            (Some(problem), None) => Err(problem.into()),
+            (problem, Some(name)) if chosen.is_empty() => Err(match problem {
+                Some(problem) => problem.into(),
+                None => {
+                    let reason = format!("{} has no dataset {name:?}", server.address());
+                    Failure::Failed(reason.into())
+                }
+            }),
+            _ => Ok(chosen),
+        }
     }
 }
 

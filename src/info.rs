@@ -1,9 +1,11 @@
 //! `areoid info`.
 
-use std::path::PathBuf;
+use std::path::Path;
 use std::process::ExitCode;
 
 use areoid_cache::describe;
+use areoid_cache::place::Place;
+use areoid_cache::remote::Client;
 use areoid_formats::catalog::Catalog;
 use serde_json::{Value, json};
 
@@ -13,9 +15,9 @@ use crate::output;
 /// Say what a catalog holds.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The catalog.
-    #[arg(value_name = "DIR")]
-    catalog: PathBuf,
+    /// The catalog: its folder, or the address of its server.
+    #[arg(value_name = "DIR|URL")]
+    catalog: Place,
 
     /// Only this dataset, or the parts of this group.
     dataset: Option<String>,
@@ -27,7 +29,22 @@ pub(crate) struct Args {
 
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
-        let (catalog, archives) = Catalog::open_each(&self.catalog)?;
+        let described = match &self.catalog {
+            Place::Folder(folder) => self.of_folder(folder)?,
+            Place::Server(server) => self.of_server(&Client::new(&server.url)?)?,
+        };
+        let datasets = described["datasets"].as_array().map_or(&[][..], Vec::as_slice);
+        let whole = datasets.iter().all(|dataset| dataset.get("error").is_none());
+        if self.json {
+            output::json(&described)?;
+        } else {
+            text(&described, datasets)?;
+        }
+        Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    }
+
+    fn of_folder(&self, folder: &Path) -> Result<Value, Failure> {
+        let (catalog, archives) = Catalog::open_each(folder)?;
         if let Some(name) = &self.dataset {
             catalog.named(name)?;
         }
@@ -41,28 +58,35 @@ impl Args {
                 Err(error) => Ok(describe::unreadable(record, &error.to_string())),
             })
             .collect::<Result<_, Failure>>()?;
-        let whole = chosen.iter().all(|dataset| dataset.get("error").is_none());
-        if self.json {
-            output::json(&json!({
-                "body": describe::body(catalog.body()),
-                "generation": catalog.generation(),
-                "datasets": chosen,
-            }))?;
-        } else {
-            text(&catalog, &chosen)?;
+        Ok(json!({
+            "body": describe::body(catalog.body()),
+            "generation": catalog.generation(),
+            "datasets": chosen,
+        }))
+    }
+
+    fn of_server(&self, server: &Client) -> Result<Value, Failure> {
+        let mut described = server.json("/v1/catalog")?;
+        if let (Some(name), Some(datasets)) = (&self.dataset, described["datasets"].as_array_mut())
+        {
+            datasets.retain(|dataset| dataset["name"] == **name || dataset["group"] == **name);
+            if datasets.is_empty() {
+                let reason = format!("{} has no dataset {name:?}", server.address());
+                return Err(Failure::Failed(reason.into()));
+            }
         }
-        Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+        Ok(described)
     }
 }
 
-fn text(catalog: &Catalog, datasets: &[Value]) -> Result<(), Failure> {
-    let body = catalog.body();
+fn text(described: &Value, datasets: &[Value]) -> Result<(), Failure> {
+    let body = &described["body"];
     output::line(format_args!(
         "{} ({} x {} m), generation {}",
-        body.name,
-        body.ellipsoid.a().0,
-        body.ellipsoid.b().0,
-        catalog.generation()
+        body["name"].as_str().unwrap_or_default(),
+        body["a_m"],
+        body["b_m"],
+        described["generation"],
     ))?;
     for dataset in datasets {
         if let Some(error) = dataset.get("error") {

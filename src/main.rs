@@ -11,6 +11,8 @@ mod interrupt;
 mod npy;
 mod output;
 mod page;
+#[cfg(feature = "viewer")]
+mod place;
 mod progress;
 mod remove;
 mod resources;

@@ -4,7 +4,7 @@ use std::io::Cursor;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use areoid_cache::{Cache, Options as CacheOptions, Selection, View};
+use areoid_cache::{Selection, View};
 use areoid_formats::body::Body;
 use areoid_formats::units::{Degrees, Meters};
 use areoid_viewer::camera::Pose;
@@ -14,14 +14,14 @@ use serde_json::json;
 
 use crate::args::{numbers, position};
 use crate::failure::Failure;
+use crate::place::Source;
 use crate::{npy, output};
 
 /// Draw one picture, complete: wait until every page the view needs is there.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The catalog.
-    #[arg(value_name = "DIR")]
-    catalog: PathBuf,
+    #[command(flatten)]
+    source: Source,
 
     /// Where the eye is: degrees, and meters above the reference surface.
     #[arg(long, value_name = "LON,LAT,ALT_M", allow_hyphen_values = true, value_parser = numbers::<3>)]
@@ -94,11 +94,7 @@ const AMBIENT: f64 = 0.06;
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
         self.check()?;
-        let options = CacheOptions::with_budget(self.memory_mib.saturating_mul(1 << 20));
-        let cache = Cache::open(&self.catalog, options).wait()?;
-        for problem in cache.problems() {
-            output::say(format_args!("warning: {problem}"));
-        }
+        let cache = self.source.open(self.memory_mib)?;
         let view = self.view(cache.body())?;
         let light = self.light()?;
 

@@ -1,14 +1,12 @@
 //! `areoid view`.
 
-use std::path::PathBuf;
 use std::process::ExitCode;
 
-use areoid_cache::{Cache, Options as CacheOptions};
 use areoid_viewer::window::{WindowOptions, run};
 
 use crate::args::{numbers, position};
 use crate::failure::Failure;
-use crate::output;
+use crate::place::Source;
 
 /// Show a catalog in a window.
 ///
@@ -17,9 +15,8 @@ use crate::output;
 /// turns north ahead, E exaggerates heights, Esc ends.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The catalog.
-    #[arg(value_name = "DIR")]
-    catalog: PathBuf,
+    #[command(flatten)]
+    source: Source,
 
     /// Above which place to start, in degrees.
     #[arg(
@@ -47,14 +44,10 @@ impl Args {
             return Err(Failure::Misused(reason.to_owned()));
         }
         let start = position(self.start).map_err(Failure::Misused)?;
-        let options = CacheOptions::with_budget(self.memory_mib.saturating_mul(1 << 20));
-        let cache = Cache::open(&self.catalog, options).wait()?;
-        for problem in cache.problems() {
-            output::say(format_args!("warning: {problem}"));
-        }
+        let cache = self.source.open(self.memory_mib)?;
         let mut session = cache.session();
         let window = WindowOptions {
-            title: format!("Areoid: {}", self.catalog.display()),
+            title: format!("Areoid: {}", self.source.name()),
             ellipsoid: cache.body().ellipsoid,
             start,
             tolerance_px: self.tolerance_px,

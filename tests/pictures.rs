@@ -241,3 +241,43 @@ fn pictures_look_as_they_did() {
         assert!(far * 500 <= all, "{file}: {far} of {all} pixels differ");
     }
 }
+
+/// A server, ended with its owner.
+struct Serving(std::process::Child);
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn a_picture_of_a_server_is_that_of_its_folder() {
+    use std::io::BufRead as _;
+
+    let mut serving = areoid();
+    serving.arg("serve").arg(&CATALOG.1).args(["--listen", "127.0.0.1:0"]);
+    let mut serving = Serving(serving.stderr(std::process::Stdio::piped()).spawn().unwrap());
+    let lines = std::io::BufReader::new(serving.0.stderr.take().unwrap()).lines();
+    let mut said = lines.map(Result::unwrap);
+    let url = said.find_map(|line| Some(line.strip_prefix("serving on ")?.to_owned())).unwrap();
+    std::thread::spawn(move || said.for_each(drop));
+
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let draw = |place: &std::ffi::OsStr, picture: &Path, options: &[&std::ffi::OsStr]| {
+        let mut command = areoid();
+        command.arg("snapshot").arg(place).arg("-o").arg(picture).args(options);
+        run(command.args(["--size", "320x180", "--eye=-138,7,900000", "--target=-133.8,17.6"]));
+    };
+    draw(CATALOG.1.as_os_str(), &path("near.png"), &[]);
+    let disk = path("disk");
+    let kept = ["--disk-cache".as_ref(), disk.as_os_str()];
+    for options in [&[][..], &kept, &kept] {
+        draw(url.as_ref(), &path("far.png"), options);
+        let [near, far] = ["near.png", "far.png"].map(|name| std::fs::read(path(name)).unwrap());
+        assert!(near == far, "with {options:?}");
+    }
+    assert!(disk.read_dir().unwrap().count() > 0);
+}

@@ -10,6 +10,8 @@
 //!   process    the binary: signals, descriptors, killed during an insertion
 //!   remote     a server read from afar
 //!   server     the binary, for the others
+//!   sessions   views of a server, as of its folder; restarts
+//!   nonsense   servers that answer nonsense
 //! ```
 //!
 //! A short form by default; `AREOID_SOAK=1` makes it 1,000 rounds.
@@ -23,8 +25,10 @@ mod service {
     mod entry;
     mod faults;
     mod full;
+    mod nonsense;
     mod process;
     mod remote;
     mod rig;
     mod server;
+    mod sessions;
 }

@@ -5,7 +5,8 @@
 //! cargo run --release --package areoid-cache --example flight -- CATALOG [OTHER_CATALOG]
 //! ```
 //!
-//! The datasets of the other catalog appear half-way.
+//! The catalog is a folder or a server's address. The datasets of the other one, a folder, appear
+//! half-way.
 
 #![expect(clippy::print_stdout, reason = "an example says what it does")]
 
@@ -15,7 +16,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use areoid_cache::flight::{Flight, Key};
-use areoid_cache::{Cache, DatasetInfo, Options};
+use areoid_cache::{Cache, DatasetInfo, Options, Place};
 use areoid_formats::catalog::Catalog;
 use areoid_formats::units::Degrees;
 
@@ -29,7 +30,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let other = arguments.next();
 
     // Opening reads no page, and could be awaited as well.
-    let cache = Cache::open(Path::new(&catalog), Options::with_budget(256 << 20)).wait()?;
+    let place = Place::from(catalog.as_str());
+    let options = Options::for_place(&place, 256 << 20);
+    let cache = Cache::open(place, options).wait()?;
     let ellipsoid = cache.body().ellipsoid;
     let flight = Flight::new(vec![
         Key { seconds: 0.0, eye: [-133.8, 5.0, 3e6], look: [0.0, -90.0] },

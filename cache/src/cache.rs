@@ -1,6 +1,5 @@
 //! The pages of a catalog, shared by all who draw it.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed};
 
@@ -12,9 +11,12 @@ use tokio::sync::oneshot;
 
 use crate::engine::Engine;
 use crate::follow::{self, Followed};
+use crate::follow_server::{self, FollowedServer};
 use crate::height::{self, Height};
-use crate::open::{CacheError, Contents, newcomer, news};
+use crate::open::{CacheError, Contents, newcomer, news, news_afar};
 use crate::pages::PageSource;
+use crate::place::{Place, Server};
+use crate::remote::RemoteError;
 use crate::scene::{Newcomer, Scene};
 use crate::selection::{DatasetInfo, Datasets, ResidentPage};
 use crate::session::Session;
@@ -38,6 +40,14 @@ impl Options {
     #[must_use]
     pub fn with_budget(budget_bytes: usize) -> Self {
         Self { budget_bytes, in_flight_bytes: budget_bytes / 4, concurrent_loads: 4 }
+    }
+
+    /// [`Self::with_budget`] for a place: more loads at a time where most of their time is spent on
+    /// the way.
+    #[must_use]
+    pub fn for_place(place: &Place, budget_bytes: usize) -> Self {
+        let concurrent_loads = if place.is_server() { 16 } else { 4 };
+        Self { concurrent_loads, ..Self::with_budget(budget_bytes) }
     }
 }
 
@@ -73,20 +83,26 @@ pub struct Progress {
 }
 
 impl Cache {
-    /// Opens the catalog in `folder` as a skeleton: descriptions and the first blocks of indexes,
-    /// no page. Returns at once.
+    /// Opens the catalog at a place, a folder or a server, as a skeleton: descriptions and the first
+    /// blocks of indexes, no page. Returns at once.
     ///
     /// A dataset that cannot be opened is left out and told by [`Self::problems`]. What anybody
     /// changes in the catalog afterwards, every session sees within a second.
+    ///
+    /// While a server that was there once cannot be reached, sessions go on with the pages in memory
+    /// and on the disk, coarser ones standing in for the others ([`Selection::failed`]), and with the
+    /// datasets of before. When it is back, in whatever state, all is asked for again.
+    ///
+    /// [`Selection::failed`]: crate::Selection::failed
     #[must_use]
-    pub fn open(folder: &Path, options: Options) -> Opening {
+    pub fn open(place: impl Into<Place>, options: Options) -> Opening {
         let progress = Arc::new((AtomicUsize::new(0), AtomicUsize::new(0)));
         let (sender, result) = oneshot::channel();
-        let (folder, told) = (folder.to_owned(), Arc::clone(&progress));
+        let (place, told) = (place.into(), Arc::clone(&progress));
         let thread = std::thread::Builder::new().name("areoid-open".to_owned());
         // If there is no thread, the sender is dropped, which says so.
         let _detached = thread.spawn(move || {
-            let opened = open_catalog(&folder, options, &told);
+            let opened = open_place(place, options, &told);
             // Nobody may be waiting any more.
             let _unwanted = sender.send(opened);
         });
@@ -269,7 +285,8 @@ impl Opening {
     ///
     /// # Errors
     ///
-    /// [`CacheError::Catalog`] if the folder is no catalog, or [`CacheError::Threads`].
+    /// [`CacheError::Catalog`] if the folder is no catalog, [`CacheError::Remote`] if the server cannot
+    /// be reached or answers nonsense, or [`CacheError::Threads`].
     pub async fn finished(self) -> Result<Cache, CacheError> {
         self.result.await.unwrap_or(Err(CacheError::GivenUp))
     }
@@ -288,17 +305,42 @@ impl Opening {
     }
 }
 
-fn open_catalog(
-    folder: &Path,
+fn open_place(
+    place: Place,
     options: Options,
     progress: &(AtomicUsize, AtomicUsize),
 ) -> Result<Cache, CacheError> {
-    let news = news(folder, &Contents::new(), |opened, datasets| {
+    let told = |opened, datasets| {
         progress.1.store(datasets, Relaxed);
-        progress.0.store(opened, Relaxed);
-    })?;
-    let cache = Cache::new(news.body, news.newcomers, news.problems, options)?;
-    let (folder, generation, contents) = (folder.to_owned(), news.generation, news.contents);
-    follow::start(&cache.engine, Followed { folder, generation, contents });
+        // Whoever opens several at a time may tell of them in any order.
+        progress.0.fetch_max(opened, Relaxed);
+    };
+    match place {
+        Place::Folder(folder) => {
+            let news = news(&folder, &Contents::new(), told)?;
+            let cache = Cache::new(news.body, news.newcomers, news.problems, options)?;
+            let (generation, contents) = (news.generation, news.contents);
+            follow::start(&cache.engine, Followed { folder, generation, contents });
+            Ok(cache)
+        }
+        Place::Server(server) => open_server(&server, options, told),
+    }
+}
+
+fn open_server(
+    server: &Server,
+    options: Options,
+    told: impl Fn(usize, usize) + Sync,
+) -> Result<Cache, CacheError> {
+    let connection = server.connection()?;
+    let Some((news, tag)) = news_afar(&connection, &Contents::new(), None, told)? else {
+        let reason = "it has no catalog".to_owned();
+        return Err(RemoteError::Answer { url: server.url.clone(), reason }.into());
+    };
+    let cache = Cache::new(news.body.clone(), news.newcomers, news.problems, options)?;
+    // What was left out is asked for again.
+    let tag = tag.filter(|_| cache.problems.is_empty());
+    let followed = FollowedServer { connection, body: news.body, contents: news.contents, tag };
+    follow_server::start(&cache.engine, followed);
     Ok(cache)
 }

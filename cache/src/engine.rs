@@ -30,9 +30,9 @@ impl Engine {
     pub(crate) fn new(scene: Scene, budget_bytes: usize, limits: Limits) -> io::Result<Self> {
         let runtime = Builder::new_multi_thread()
             .worker_threads(1)
-            // One more looks at the catalog.
-            .max_blocking_threads(limits.loads + 1)
-            .enable_time()
+            // One more looks at the catalog, and one looks a server's name up.
+            .max_blocking_threads(limits.loads + 2)
+            .enable_all()
             .thread_name("areoid-cache")
             .build()?;
         let shared = Arc::new(Shared::new(scene, budget_bytes, limits));
@@ -66,6 +66,14 @@ impl Engine {
             sleep(ADOPT_WITHIN).await;
             shared.tell();
         });
+    }
+}
+
+impl Engine {
+    /// What failed may be tried again at once: what was in its way is gone.
+    pub(crate) fn forgive(&self) {
+        self.shared.store().forgive();
+        self.shared.tell();
     }
 }
 

@@ -1,5 +1,6 @@
 //! Keeps a cache at the newest generation of its catalog, whoever changes it.
 
+use std::error::Error;
 use std::path::PathBuf;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -10,7 +11,7 @@ use tokio::time::sleep;
 use tracing::debug;
 
 use crate::engine::Engine;
-use crate::open::{Contents, News, news};
+use crate::open::{CacheError, Contents, News, news};
 
 /// A catalog's folder, and what of it the cache has.
 pub(crate) struct Followed {
@@ -39,30 +40,40 @@ pub(crate) async fn follow(engine: Weak<Engine>, mut followed: Followed) {
         let Some(engine) = engine.upgrade() else { return };
         match found {
             Ok(None) => {}
-            Ok(Some(News { generation, contents, newcomers, problems, .. })) => {
-                for problem in &problems {
-                    debug!(error = problem as &dyn std::error::Error, "dataset left out");
-                }
-                let stays = |name: &str| followed.contents.get(name) == contents.get(name);
-                engine.change(|info| !stays(&info.name), newcomers);
-                debug!(generation, "catalog changed");
-                (followed.generation, followed.contents) = (generation, contents);
+            Ok(Some(news)) => {
+                followed.generation = news.generation;
+                apply(&engine, &mut followed.contents, news);
             }
             // It may be gone for a moment, or for good: what is there is kept.
-            Err(error) => debug!(error = &error as &dyn std::error::Error, "catalog not read"),
+            Err(error) => debug!(error = &error as &dyn Error, "catalog not read"),
         }
     }
 }
 
+/// Shows what has changed, in one step.
+pub(crate) fn apply(engine: &Engine, shown: &mut Contents, news: News) {
+    let News { generation, contents, newcomers, problems, .. } = news;
+    for problem in &problems {
+        debug!(error = problem as &dyn Error, "dataset left out");
+    }
+    if newcomers.is_empty() && *shown == contents {
+        return;
+    }
+    let stays = |name: &str| shown.get(name) == contents.get(name);
+    engine.change(|info| !stays(&info.name), newcomers);
+    debug!(generation, "catalog changed");
+    *shown = contents;
+}
+
 /// What has changed, if something has.
-fn look(followed: &Followed) -> Result<Option<News>, crate::open::CacheError> {
+fn look(followed: &Followed) -> Result<Option<News>, CacheError> {
     let Followed { folder, generation, contents } = followed;
     let newest = Catalog::newest_generation(folder)?;
     if newest.is_none_or(|newest| newest <= *generation) {
         return Ok(None);
     }
     match news(folder, contents, |_, _| {}) {
-        Err(crate::open::CacheError::Catalog(CatalogError::NotACatalog { .. })) => Ok(None),
+        Err(CacheError::Catalog(CatalogError::NotACatalog { .. })) => Ok(None),
         news => news.map(Some),
     }
 }

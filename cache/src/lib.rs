@@ -21,6 +21,14 @@ pub mod pages;
 
 pub mod stats;
 
+pub mod insertion;
+
+pub mod insertion_request;
+
+pub mod remote;
+
+pub mod place;
+
 mod scene;
 
 mod memo;
@@ -47,22 +55,19 @@ mod open;
 
 mod follow;
 
+mod follow_server;
+
 mod cache;
 
 pub mod describe;
 
-pub mod insertion;
-
-pub mod insertion_request;
-
 pub mod service;
-
-pub mod remote;
 
 pub use cache::{Cache, Opening, Options, Progress};
 pub use height::Height;
 pub use open::CacheError;
 pub use pages::PageSource;
+pub use place::Place;
 pub use selection::{DatasetInfo, Datasets, FailedPage, ResidentPage, Selection};
 pub use session::Session;
 pub use single::PageError;

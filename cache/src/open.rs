@@ -1,6 +1,7 @@
-//! A catalog's folder, opened dataset by dataset.
+//! A catalog, opened dataset by dataset: a folder's, or a server's.
 
 use std::collections::BTreeMap;
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -9,6 +10,8 @@ use areoid_formats::body::Body;
 use areoid_formats::catalog::{Catalog, CatalogError};
 
 use crate::pages::PageSource;
+use crate::place::Connection;
+use crate::remote::{Listing, RemoteError, each};
 use crate::scene::Newcomer;
 use crate::selection::DatasetInfo;
 
@@ -19,6 +22,10 @@ pub enum CacheError {
     /// The catalog, or an archive of it.
     #[error(transparent)]
     Catalog(#[from] CatalogError),
+
+    /// A server, or an archive of it.
+    #[error(transparent)]
+    Remote(#[from] RemoteError),
 
     /// The index of an archive.
     #[error("cannot read the index of {dataset}")]
@@ -31,15 +38,15 @@ pub enum CacheError {
 
     /// The system gave no threads.
     #[error("cannot start threads to load pages")]
-    Threads(#[source] std::io::Error),
+    Threads(#[source] io::Error),
 
     /// The opening was given up, or panicked.
     #[error("opening the catalog was given up")]
     GivenUp,
 }
 
-/// What a generation of a catalog has: the content of each dataset by its name.
-pub(crate) type Contents = BTreeMap<String, String>;
+/// What a generation of a catalog has: content and priority of each dataset by its name.
+pub(crate) type Contents = BTreeMap<String, (String, i32)>;
 
 /// What has come since some contents, and what all are now.
 pub(crate) struct News {
@@ -72,9 +79,9 @@ pub(crate) fn news(
         told(0, count);
         let mut outdated = false;
         for (opened, record) in catalog.datasets().iter().enumerate() {
-            let content = (record.name.clone(), record.content.clone());
-            if known.get(&record.name) == Some(&record.content) {
-                news.contents.extend([content]);
+            let version = (record.content.clone(), record.priority);
+            if known.get(&record.name) == Some(&version) {
+                news.contents.insert(record.name.clone(), version);
                 continue;
             }
             match catalog.archive(record) {
@@ -88,7 +95,7 @@ pub(crate) fn news(
                     match newcomer(info, Arc::new(archive)) {
                         Ok(newcomer) => {
                             news.newcomers.push(newcomer);
-                            news.contents.extend([content]);
+                            news.contents.insert(record.name.clone(), version);
                         }
                         Err(error) => news.problems.push(error),
                     }
@@ -104,6 +111,74 @@ pub(crate) fn news(
         if !outdated || Catalog::open(folder)?.generation() == news.generation {
             return Ok(news);
         }
+    }
+}
+
+/// [`news`] of a server, and the tag of its list; `None` if the list still has the tag `tag`.
+///
+/// # Errors
+///
+/// Also if the server goes while it is asked: what is known of it then is no state of its catalog.
+pub(crate) fn news_afar(
+    server: &Connection,
+    known: &Contents,
+    tag: Option<&str>,
+    told: impl Fn(usize, usize) + Sync,
+) -> Result<Option<(News, Option<String>)>, CacheError> {
+    /// What is listed may be gone when it is opened, but not time and again.
+    const LISTS: u32 = 4;
+    let Connection { client, blocks } = server;
+    for lists in 1.. {
+        let tag = tag.filter(|_| lists == 1);
+        let Some(listing) = Listing::ask(client, tag)? else { return Ok(None) };
+        let Listing { generation, body, datasets: listed, tag } = listing;
+        let version = |place: usize| (listed[place].content.clone(), listed[place].priority);
+        let (mut contents, mut newcomers, mut problems) = (Contents::new(), Vec::new(), Vec::new());
+        let mut fresh = Vec::new();
+        for (place, one) in listed.iter().enumerate() {
+            if known.get(&one.name) == Some(&version(place)) {
+                contents.insert(one.name.clone(), version(place));
+            } else {
+                fresh.push(place);
+            }
+        }
+        told(contents.len(), listed.len());
+        let open = |&place: &usize| {
+            let dataset = listed[place].open(client, blocks.as_ref())?;
+            newcomer(dataset.info, dataset.pages)
+        };
+        let opened =
+            each(&fresh, open, |done| told(listed.len() - fresh.len() + done, listed.len()));
+        for (&place, opened) in fresh.iter().zip(opened) {
+            match opened {
+                Ok(newcomer) => {
+                    newcomers.push(newcomer);
+                    contents.insert(listed[place].name.clone(), version(place));
+                }
+                Err(problem) => problems.push(problem),
+            }
+        }
+        if client.link().is_lost()
+            && let Some(problem) = problems.pop()
+        {
+            return Err(problem);
+        }
+        if lists == LISTS || !problems.iter().any(is_missing) {
+            let news = News { generation, body, contents, newcomers, problems };
+            return Ok(Some((news, tag)));
+        }
+    }
+    unreachable!("the last list is taken")
+}
+
+/// Whether a newer list may not have what could not be opened.
+fn is_missing(problem: &CacheError) -> bool {
+    match problem {
+        CacheError::Remote(RemoteError::Archive { source, .. })
+        | CacheError::Index { source, .. } => {
+            matches!(source, ArchiveError::Read { source, .. } if source.kind() == io::ErrorKind::NotFound)
+        }
+        _ => false,
     }
 }
 

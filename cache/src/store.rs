@@ -312,6 +312,11 @@ impl Store {
         self.failed.retain(|work, _| !is_gone(work.name().dataset));
     }
 
+    /// Lets everything that failed be tried again as if for the first time.
+    pub(crate) fn forgive(&mut self) {
+        self.failed.clear();
+    }
+
     fn fail(&mut self, work: Work, error: Arc<str>) {
         const FIRST: Duration = Duration::from_secs(1);
         const LAST: Duration = Duration::from_secs(60);

@@ -51,6 +51,10 @@ fn files(folder: &Path) -> Vec<(String, Vec<u8>)> {
 }
 
 #[test]
+#[expect(
+    clippy::print_stdout,
+    reason = "whoever asks with --nocapture learns that nothing was tested"
+)]
 fn a_full_disk_ends_an_insertion_and_nothing_else() {
     const PLENTY: u64 = 64 << 20;
     let place = Place::new();

@@ -41,9 +41,10 @@ fn a_remote_archive_has_the_same_pages() {
     let remote = RemoteCatalog::open(&client(&serving), None).unwrap();
     assert!(remote.problems.is_empty(), "{:?}", remote.problems);
     assert_eq!(&remote.body, Catalog::open(&serving.place.catalog()).unwrap().body());
-    assert_same(&near(&serving), &remote.datasets[0].1);
+    assert_same(&near(&serving), remote.datasets[0].pages.archive());
     let options = areoid_cache::Options::with_budget(16 << 20);
-    let cache = Cache::with_archives(remote.body, remote.datasets, options).unwrap();
+    let sources = remote.datasets.into_iter().map(|dataset| (dataset.info, dataset.pages as _));
+    let cache = Cache::with_sources(remote.body, sources, options).unwrap();
     assert_eq!((cache.datasets().iter().count(), cache.problems().len()), (1, 0));
 }
 
@@ -54,7 +55,7 @@ fn what_is_on_the_disk_is_read_without_the_server_and_proven() {
     let blocks = Arc::new(Blocks::open(folder.path(), 64 << 20).unwrap());
     let remote = RemoteCatalog::open(&client(&serving), Some(&blocks)).unwrap();
     let near = near(&serving);
-    let far = &remote.datasets[0].1;
+    let far = remote.datasets[0].pages.archive();
     assert_same(&near, far);
     // A damaged block is asked for again.
     let victim = fs::read_dir(folder.path()).unwrap().next().unwrap().unwrap().path();
@@ -75,7 +76,7 @@ fn the_disk_cache_keeps_its_bound() {
     let folder = TempDir::new().unwrap();
     let blocks = Arc::new(Blocks::open(folder.path(), 400 << 10).unwrap());
     let remote = RemoteCatalog::open(&client(&serving), Some(&blocks)).unwrap();
-    assert_same(&near(&serving), &remote.datasets[0].1);
+    assert_same(&near(&serving), remote.datasets[0].pages.archive());
     assert!(bytes_in(folder.path()) <= 400 << 10, "{}", bytes_in(folder.path()));
 }
 
@@ -85,7 +86,7 @@ fn a_vanished_network_fails_in_bounded_time_and_heals() {
     let remote = RemoteCatalog::open(&client(&serving), None).unwrap();
     let near = near(&serving);
     let entries = near.entries().unwrap();
-    let far = &remote.datasets[0].1;
+    let far = remote.datasets[0].pages.archive();
     let address = serving.address();
     let Serving { place, service } = serving;
     service.stop();

@@ -1,23 +1,31 @@
-//! A server's catalog, opened as a folder's would be.
+//! A server's catalog: what it lists, and the archives of that, opened.
 
-use std::sync::Arc;
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
 
-use areoid_formats::archive::{Archive, ArchiveError};
+use areoid_formats::archive::ArchiveError;
 use areoid_formats::body::{Body, Ellipsoid};
+use areoid_formats::catalog::DatasetRecord;
 use areoid_formats::units::Meters;
 use serde::Deserialize;
 
-use super::blocks::Blocks;
+use super::blocks::{Blocks, is_content};
 use super::client::{Client, RemoteError};
+use super::pages::RemotePages;
 use super::source::HttpSource;
 use crate::selection::DatasetInfo;
+
+/// Archives opened at a time: each takes a few answers, one after another.
+const AT_A_TIME: usize = 8;
 
 /// A catalog as a server tells of it.
 #[derive(Debug, Deserialize)]
 struct Told {
     generation: u64,
     body: ToldBody,
-    datasets: Vec<ToldDataset>,
+    datasets: Vec<Listed>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -27,14 +35,26 @@ struct ToldBody {
     b_m: f64,
 }
 
+/// A dataset as a server tells of it.
 #[derive(Debug, Deserialize)]
-struct ToldDataset {
-    name: String,
-    priority: i32,
+pub(crate) struct Listed {
+    pub(crate) name: String,
+    group: Option<String>,
+    pub(crate) priority: i32,
     bytes: u64,
-    content: String,
+    pub(crate) content: String,
     file: String,
     error: Option<String>,
+}
+
+/// What a server lists.
+#[derive(Debug)]
+pub(crate) struct Listing {
+    pub(crate) generation: u64,
+    pub(crate) body: Body,
+    pub(crate) datasets: Vec<Listed>,
+    /// What names this state of the list.
+    pub(crate) tag: Option<String>,
 }
 
 /// What a server serves.
@@ -44,64 +64,144 @@ pub struct RemoteCatalog {
     pub generation: u64,
     /// The body that all datasets show.
     pub body: Body,
-    /// The datasets, for [`Cache::with_archives`](crate::Cache::with_archives).
-    pub datasets: Vec<(DatasetInfo, Arc<Archive>)>,
+    /// The datasets.
+    pub datasets: Vec<RemoteDataset>,
     /// Datasets that were left out, and why.
-    pub problems: Vec<String>,
+    pub problems: Vec<RemoteError>,
+}
+
+/// A dataset of a server.
+#[derive(Debug)]
+pub struct RemoteDataset {
+    /// What a viewer has to know of it.
+    pub info: DatasetInfo,
+    /// The group that it is a part of.
+    pub group: Option<String>,
+    /// Its pages, for [`Cache::with_sources`](crate::Cache::with_sources).
+    pub pages: Arc<RemotePages>,
+}
+
+impl RemoteDataset {
+    /// Whether `name` means it: its own name, or that of its group.
+    #[must_use]
+    pub fn answers_to(&self, name: &str) -> bool {
+        self.info.name == name || self.group.as_deref() == Some(name)
+    }
 }
 
 impl RemoteCatalog {
     /// Asks `client` for its catalog, and reads the ends of all archives; with `blocks`, what is read is
-    /// kept on the disk. Waits.
+    /// kept on the disk. Waits. What changes on the server afterwards it does not follow: a
+    /// [`Cache`](crate::Cache) does.
     ///
     /// # Errors
     ///
     /// [`RemoteError`] if the server does not answer with a catalog.
     pub fn open(client: &Client, blocks: Option<&Arc<Blocks>>) -> Result<Self, RemoteError> {
-        let path = "/v1/catalog";
-        let nonsense = |reason: String| RemoteError::Answer { url: client.url(path), reason };
-        let told: Told = serde_json::from_value(client.json(path)?)
-            .map_err(|error| nonsense(error.to_string()))?;
-        let ToldBody { name, a_m, b_m } = told.body;
-        let ellipsoid = Ellipsoid::new(Meters(a_m), Meters(b_m))
-            .map_err(|error| nonsense(error.to_string()))?;
+        let Listing { generation, body, datasets: listed, .. } = Listing::ask(client, None)?
+            .ok_or_else(|| nonsense(client, "it is what it was".to_owned()))?;
         let (mut datasets, mut problems) = (Vec::new(), Vec::new());
-        for told in told.datasets {
-            let name = told.name.clone();
-            match open(client, told, blocks) {
+        for opened in each(&listed, |listed| listed.open(client, blocks), |_| {}) {
+            match opened {
                 Ok(dataset) => datasets.push(dataset),
-                Err(reason) => problems.push(format!("{name}: {reason}")),
+                Err(error) => problems.push(error),
             }
         }
-        let body = Body { name, ellipsoid };
-        Ok(Self { generation: told.generation, body, datasets, problems })
+        Ok(Self { generation, body, datasets, problems })
     }
 }
 
-fn open(
-    client: &Client,
-    told: ToldDataset,
-    blocks: Option<&Arc<Blocks>>,
-) -> Result<(DatasetInfo, Arc<Archive>), String> {
-    if let Some(reason) = told.error {
-        return Err(reason);
+const CATALOG: &str = "/v1/catalog";
+
+fn nonsense(client: &Client, reason: String) -> RemoteError {
+    RemoteError::Answer { url: client.url(CATALOG), reason }
+}
+
+impl Listing {
+    /// Asks for the list; `None` if it still has the tag `known`. Waits.
+    pub(crate) fn ask(client: &Client, known: Option<&str>) -> Result<Option<Self>, RemoteError> {
+        let Some((told, tag)) = client.json_unless(CATALOG, known)? else { return Ok(None) };
+        let told: Told =
+            serde_json::from_value(told).map_err(|error| nonsense(client, error.to_string()))?;
+        let Told { generation, body: ToldBody { name, a_m, b_m }, datasets } = told;
+        let ellipsoid = Ellipsoid::new(Meters(a_m), Meters(b_m))
+            .map_err(|error| nonsense(client, error.to_string()))?;
+        let names: BTreeSet<&str> = datasets.iter().map(|listed| listed.name.as_str()).collect();
+        if names.len() < datasets.len() {
+            return Err(nonsense(client, "two datasets have one name".to_owned()));
+        }
+        Ok(Some(Self { generation, body: Body { name, ellipsoid }, datasets, tag }))
     }
-    // It names files of the disk cache.
-    if told.content.len() != 16 || !told.content.bytes().all(|byte| byte.is_ascii_hexdigit()) {
-        return Err("its content has no name".to_owned());
+}
+
+impl Listed {
+    /// Reads the ends of its archive. Waits.
+    pub(crate) fn open(
+        &self,
+        client: &Client,
+        blocks: Option<&Arc<Blocks>>,
+    ) -> Result<RemoteDataset, RemoteError> {
+        let dataset = || self.name.clone();
+        if let Some(reason) = &self.error {
+            return Err(RemoteError::Unreadable { dataset: dataset(), reason: reason.clone() });
+        }
+        // Its content names files of the disk cache, its file a URL.
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+        let is_sound = is_content(&self.content)
+            && self.name.chars().all(is_plain)
+            && self.file == DatasetRecord::file_of(&self.name, &self.content);
+        if !is_sound {
+            return Err(nonsense(client, format!("{:?} has names like none", self.name)));
+        }
+        let kept = blocks.cloned();
+        let source = HttpSource::new(client.clone(), &self.file, &self.content, self.bytes, kept);
+        let failed = |source: ArchiveError| RemoteError::Archive {
+            dataset: dataset(),
+            url: client.address().to_owned(),
+            source,
+        };
+        let pages = RemotePages::open(source).map_err(failed)?;
+        let description = pages.archive().description();
+        let content = pages.archive().content().map(|content| format!("{content:016x}"));
+        if description.dataset != self.name || content.as_ref() != Some(&self.content) {
+            return Err(nonsense(client, format!("the archive of {} is another's", self.name)));
+        }
+        let info = DatasetInfo {
+            name: dataset(),
+            kind: description.kind,
+            grid: description.grid.clone(),
+            priority: self.priority,
+        };
+        Ok(RemoteDataset { info, group: self.group.clone(), pages: Arc::new(pages) })
     }
-    let source =
-        HttpSource::new(client.clone(), &told.file, &told.content, told.bytes, blocks.cloned());
-    let archive = Archive::open(Box::new(source)).map_err(|error| match error {
-        ArchiveError::Read { what, source } => format!("cannot read {what}: {source}"),
-        error => error.to_string(),
-    })?;
-    let description = archive.description();
-    let info = DatasetInfo {
-        name: told.name,
-        kind: description.kind,
-        grid: description.grid.clone(),
-        priority: told.priority,
+}
+
+/// `open` of each in its place, some at a time; `told` hears how many are done.
+pub(crate) fn each<L: Sync, T: Send>(
+    listed: &[L],
+    open: impl Fn(&L) -> T + Sync,
+    told: impl Fn(usize) + Sync,
+) -> Vec<T> {
+    let (next, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let opened = Mutex::new(Vec::with_capacity(listed.len()));
+    let work = || {
+        while let Some((place, listed)) = {
+            let place = next.fetch_add(1, Relaxed);
+            listed.get(place).map(|listed| (place, listed))
+        } {
+            let result = open(listed);
+            opened.lock().unwrap_or_else(PoisonError::into_inner).push((place, result));
+            told(done.fetch_add(1, Relaxed) + 1);
+        }
     };
-    Ok((info, Arc::new(archive)))
+    thread::scope(|scope| {
+        for _ in 1..AT_A_TIME.min(listed.len()) {
+            // Without a thread the others do its work.
+            let _ = thread::Builder::new().spawn_scoped(scope, work);
+        }
+        work();
+    });
+    let mut opened = opened.into_inner().unwrap_or_else(PoisonError::into_inner);
+    opened.sort_by_key(|(place, _)| *place);
+    opened.into_iter().map(|(_, result)| result).collect()
 }

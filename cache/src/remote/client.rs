@@ -1,11 +1,15 @@
 //! Requests to a server: kept-alive connections, time-outs, answers in JSON.
 
 use std::io::{self, Read as _};
+use std::sync::Arc;
 use std::time::Duration;
 
+use areoid_formats::archive::ArchiveError;
 use serde_json::Value;
 use ureq::http::{Response, StatusCode};
 use ureq::{Agent, Body};
+
+use super::link::{Link, is_nobody};
 
 /// A request that was not answered as it should be.
 #[derive(Debug, thiserror::Error)]
@@ -37,6 +41,32 @@ pub enum RemoteError {
         /// What is wrong with it.
         reason: String,
     },
+    /// A dataset that the server lists, and cannot read itself.
+    #[error("the server cannot read {dataset}: {reason}")]
+    Unreadable {
+        /// Its name.
+        dataset: String,
+        /// In the server's words.
+        reason: String,
+    },
+    /// The archive of a dataset that the server lists.
+    #[error("cannot read {dataset} of {url}")]
+    Archive {
+        /// Its name.
+        dataset: String,
+        /// The server.
+        url: String,
+        /// Why.
+        source: ArchiveError,
+    },
+    /// The folder that keeps what was read.
+    #[error("cannot keep anything in {folder}")]
+    Disk {
+        /// The folder.
+        folder: String,
+        /// Why.
+        source: io::Error,
+    },
     /// It is no address of a server.
     #[error("{url} is not the address of a server: it starts with http://")]
     Url {
@@ -46,20 +76,29 @@ pub enum RemoteError {
 }
 
 /// How long to wait for a connection.
-const CONNECT: Duration = Duration::from_secs(3);
-/// How long to wait for an answer to begin, and for each request in all.
-const ANSWER: Duration = Duration::from_secs(15);
+pub(super) const CONNECT: Duration = Duration::from_secs(3);
+/// How long to wait for an answer to begin, and then for its end.
+pub(super) const ANSWER: Duration = Duration::from_secs(15);
 /// Connections kept open.
 const KEPT: usize = 16;
 /// Bytes of an answer in JSON.
 const JSON_BYTES: u64 = 64 << 20;
+/// Bytes of an answer that says why there is none.
+const REASON_BYTES: u64 = 64 << 10;
 
 /// A server. All threads may ask at once, and each waits for its answer.
+///
+/// An answer that has been read to its end leaves its connection to the next request. Proxies that
+/// the environment names are not asked.
 #[derive(Clone, Debug)]
 pub struct Client {
     agent: Agent,
     base: String,
+    link: Arc<Link>,
 }
+
+/// An answer in JSON, and its tag.
+pub(super) type Tagged = (Value, Option<String>);
 
 impl Client {
     /// The server at `url`, such as `http://127.0.0.1:8360`. Asks nothing yet.
@@ -79,8 +118,19 @@ impl Client {
             .max_idle_connections_per_host(KEPT)
             .http_status_as_error(false)
             .max_redirects(0)
+            .proxy(None)
             .build();
-        Ok(Self { agent: config.into(), base })
+        Ok(Self { agent: config.into(), base, link: Arc::new(Link::new()) })
+    }
+
+    /// The server's address, as it was given but for slashes at its end.
+    #[must_use]
+    pub fn address(&self) -> &str {
+        &self.base
+    }
+
+    pub(crate) fn link(&self) -> &Link {
+        &self.link
     }
 
     pub(super) fn agent(&self) -> &Agent {
@@ -104,7 +154,7 @@ impl Client {
         if status.is_success() {
             return Ok(answer);
         }
-        let text = answer.body_mut().with_config().limit(JSON_BYTES).read_to_string();
+        let text = answer.body_mut().with_config().limit(REASON_BYTES).read_to_string();
         let text = text.unwrap_or_default();
         let told: Option<Value> = serde_json::from_str(&text).ok();
         let told = told.as_ref().and_then(|told| told["error"].as_str());
@@ -118,14 +168,44 @@ impl Client {
     ///
     /// Any [`RemoteError`].
     pub fn json(&self, path: &str) -> Result<Value, RemoteError> {
+        match self.json_unless(path, None)? {
+            Some((value, _)) => Ok(value),
+            None => Err(RemoteError::Answer {
+                url: self.url(path),
+                reason: "it is what it was, though nobody said what that is".to_owned(),
+            }),
+        }
+    }
+
+    /// [`Self::json`] with its tag; `None` if it still has the tag `known`.
+    pub(super) fn json_unless(
+        &self,
+        path: &str,
+        known: Option<&str>,
+    ) -> Result<Option<Tagged>, RemoteError> {
         let url = self.url(path);
-        let answer = self.agent.get(&url).call().map_err(|error| Self::failed(&url, error))?;
-        let mut text = Vec::new();
+        let mut asked = self.agent.get(&url);
+        if let Some(known) = known {
+            asked = asked.header("if-none-match", known);
+        }
+        let answer = asked.call().map_err(|error| {
+            if is_nobody(&error) {
+                self.link.lose(&format!("{url}: {error}"));
+            }
+            Self::failed(&url, error)
+        })?;
+        self.link.find();
+        if answer.status() == StatusCode::NOT_MODIFIED {
+            return Ok(None);
+        }
         let answer = Self::accepted(&url, answer)?;
+        let tag = answer.headers().get("etag").and_then(|tag| tag.to_str().ok());
+        let (tag, mut text) = (tag.map(str::to_owned), Vec::new());
         let read = answer.into_body().into_reader().take(JSON_BYTES).read_to_end(&mut text);
         read.map_err(|source| RemoteError::Network { url: url.clone(), source })?;
-        let reason = |error: serde_json::Error| error.to_string();
-        serde_json::from_slice(&text)
-            .map_err(|error| RemoteError::Answer { url, reason: reason(error) })
+        match serde_json::from_slice(&text) {
+            Ok(value) => Ok(Some((value, tag))),
+            Err(error) => Err(RemoteError::Answer { url, reason: error.to_string() }),
+        }
     }
 }

@@ -1,49 +1,61 @@
 //! The bytes of an archive on a server, read by ranges.
 //!
 //! ```text
-//!   read ──▶ blocks of the disk cache ──▶ one range of all that is missing ──▶ retried, in bounded time
+//!   read ──▶ blocks on the disk ──▶ one range of those that are missing, by one thread ──▶ kept
 //! ```
 
+use std::collections::BTreeSet;
 use std::fmt;
-use std::io::{self, Read as _};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread;
-use std::time::{Duration, Instant};
+use std::io;
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 
 use areoid_formats::storage::ByteSource;
 
 use super::blocks::{BLOCK_BYTES, Blocks};
 use super::client::Client;
+use super::range::Ranges;
 
-/// How often a read is tried, with waits of 0.1, 0.2 and 0.4 s between.
-const TRIES: u32 = 4;
-const FIRST_WAIT: Duration = Duration::from_millis(100);
-/// How long reads fail at once after one that failed: a vanished network is not asked by every page.
-const SILENCE: Duration = Duration::from_secs(1);
 /// Bytes asked for at a time.
-const RANGE_BYTES: u64 = 8 << 20;
+const RANGE_BYTES: u64 = 1 << 20;
 
 /// An archive on a server: of one content, for ever.
 ///
 /// # Threads
 ///
-/// As [`ByteSource`] has it. A read takes at most four times the client's time-outs.
+/// As [`ByteSource`] has it. What several want at once is asked for once where it is kept on the
+/// disk. A read of a mebibyte takes at most four times the client's time-outs.
 pub struct HttpSource {
-    client: Client,
-    url: String,
+    ranges: Ranges,
     len: u64,
-    blocks: Option<Arc<Blocks>>,
     content: String,
-    /// What went wrong last, until when it is believed.
-    silent: Mutex<Option<(Instant, String)>>,
+    blocks: Option<Arc<Blocks>>,
+    /// Numbers of blocks that somebody is asking for.
+    asked: Mutex<BTreeSet<u64>>,
+    answered: Condvar,
 }
 
 impl fmt::Debug for HttpSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("HttpSource")
-            .field("url", &self.url)
+            .field("url", &self.ranges.url())
             .field("len", &self.len)
             .finish_non_exhaustive()
+    }
+}
+
+/// Blocks that one thread asks for: others wait for it. Given up when dropped.
+struct Claim<'a> {
+    source: &'a HttpSource,
+    /// From the first up to and without the last.
+    numbers: std::ops::Range<u64>,
+}
+
+impl Drop for Claim<'_> {
+    fn drop(&mut self) {
+        let mut asked = self.source.asked.lock().unwrap_or_else(PoisonError::into_inner);
+        asked.retain(|number| !self.numbers.contains(number));
+        drop(asked);
+        self.source.answered.notify_all();
     }
 }
 
@@ -57,68 +69,101 @@ impl HttpSource {
         len: u64,
         blocks: Option<Arc<Blocks>>,
     ) -> Self {
-        let url = client.url(&format!("/v1/archives/{file}"));
-        Self { client, url, len, blocks, content: content.to_owned(), silent: Mutex::new(None) }
+        let (ranges, content) = (Ranges::new(client, file, content), content.to_owned());
+        let (asked, answered) = (Mutex::default(), Condvar::new());
+        Self { ranges, len, content, blocks, asked, answered }
     }
 
-    /// Bytes from `start` to `end`, from the server.
-    fn fetch(&self, start: u64, end: u64) -> io::Result<Vec<u8>> {
-        let mut silent = self.silent.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        if let Some((_, reason)) = silent.take_if(|(until, _)| Instant::now() < *until) {
-            return Err(io::Error::new(io::ErrorKind::NotConnected, reason));
-        }
-        let mut wait = FIRST_WAIT;
-        for attempt in 1.. {
-            match self.try_fetch(start, end) {
-                Ok(bytes) => return Ok(bytes),
-                Err(error) if attempt == TRIES || error.kind() == io::ErrorKind::NotFound => {
-                    let error = io::Error::new(error.kind(), format!("{}: {error}", self.url));
-                    let believed = Some((Instant::now() + SILENCE, error.to_string()));
-                    *self.silent.lock().unwrap_or_else(PoisonError::into_inner) = believed;
-                    return Err(error);
-                }
-                Err(_) => thread::sleep(wait),
+    /// Whether something is kept on the disk.
+    pub(super) fn is_kept(&self) -> bool {
+        self.blocks.is_some()
+    }
+
+    /// Drops what is kept of `length` bytes from `offset`.
+    pub(super) fn forget(&self, offset: u64, length: u64) {
+        if let Some(blocks) = &self.blocks {
+            let last = offset.saturating_add(length).min(self.len).saturating_sub(1);
+            for number in offset / BLOCK_BYTES..=last / BLOCK_BYTES {
+                blocks.forget(&self.content, number);
             }
-            wait *= 2;
         }
-        unreachable!("the last try returns")
     }
 
-    fn try_fetch(&self, start: u64, end: u64) -> io::Result<Vec<u8>> {
-        let asked = self.client.agent().get(&self.url);
-        let asked = asked.header("range", format!("bytes={start}-{}", end - 1));
-        let answer = asked.call().map_err(ureq::Error::into_io)?;
-        match answer.status().as_u16() {
-            206 => {}
-            404 => {
-                return Err(io::Error::new(io::ErrorKind::NotFound, "the server has it no more"));
-            }
-            status => return Err(io::Error::other(format!("the server answers {status}"))),
+    /// Drops all that is kept.
+    pub(super) fn forget_all(&self) {
+        if let Some(blocks) = &self.blocks {
+            blocks.forget_all(&self.content);
         }
-        let tag = answer.headers().get("etag").and_then(|tag| tag.to_str().ok());
-        if tag.map(|tag| tag.trim_matches('"')) != Some(self.content.as_str()) {
-            return Err(io::Error::new(io::ErrorKind::InvalidData, "another archive answers"));
-        }
-        let length = usize::try_from(end - start).map_err(io::Error::other)?;
-        let mut bytes = Vec::with_capacity(length);
-        // One more is asked for: a connection is kept when the end of its answer was seen.
-        answer.into_body().into_reader().take(end - start + 1).read_to_end(&mut bytes)?;
-        if bytes.len() != length {
-            return Err(io::ErrorKind::UnexpectedEof.into());
-        }
-        Ok(bytes)
     }
 
-    /// The block of a number, from the disk or the server.
-    fn block(&self, blocks: &Blocks, number: u64) -> io::Result<Vec<u8>> {
-        if let Some(bytes) = blocks.read(&self.content, number) {
-            return Ok(bytes);
-        }
+    /// Where a block starts and ends.
+    fn extent(&self, number: u64) -> (u64, u64) {
         let start = number * BLOCK_BYTES;
-        let bytes = self.fetch(start, (start + BLOCK_BYTES).min(self.len))?;
-        blocks.write(&self.content, number, &bytes);
-        Ok(bytes)
+        (start, (start + BLOCK_BYTES).min(self.len))
     }
+
+    /// Claims the block and those behind it up to the one at `last` that are missing, too; `None` after
+    /// somebody else has asked for it.
+    fn claim(&self, blocks: &Blocks, number: u64, last: u64) -> Option<Claim<'_>> {
+        let mut asked = self.asked.lock().unwrap_or_else(PoisonError::into_inner);
+        if asked.contains(&number) {
+            while asked.contains(&number) {
+                asked = self.answered.wait(asked).unwrap_or_else(PoisonError::into_inner);
+            }
+            return None;
+        }
+        let most = last.min(number + RANGE_BYTES / BLOCK_BYTES - 1);
+        let is_free = |next: &u64| !asked.contains(next) && !blocks.has(&self.content, *next);
+        let behind = (number + 1..=most).take_while(is_free).last();
+        let numbers = number..behind.unwrap_or(number) + 1;
+        asked.extend(numbers.clone());
+        Some(Claim { source: self, numbers })
+    }
+
+    /// Fills `buffer` from `offset`, through the blocks.
+    fn read_blocks(&self, blocks: &Blocks, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+        let end = offset + buffer.len() as u64;
+        let mut at = offset;
+        while at < end {
+            let number = at / BLOCK_BYTES;
+            let (start, block_end) = self.extent(number);
+            let length = length(start, block_end)?;
+            if let Some(block) = blocks.read(&self.content, number, length) {
+                at = copy(buffer, offset, &block, start, at);
+                continue;
+            }
+            let Some(claim) = self.claim(blocks, number, (end - 1) / BLOCK_BYTES) else { continue };
+            // It may have come between the look and the claim.
+            if let Some(block) = blocks.read(&self.content, number, length) {
+                at = copy(buffer, offset, &block, start, at);
+                continue;
+            }
+            let (_, run_end) = self.extent(claim.numbers.end - 1);
+            let mut run = vec![0; self::length(start, run_end)?];
+            self.ranges.read(&mut run, start)?;
+            let block_bytes = self::length(0, BLOCK_BYTES)?;
+            for (number, block) in claim.numbers.clone().zip(run.chunks(block_bytes)) {
+                blocks.write(&self.content, number, block);
+            }
+            at = copy(buffer, offset, &run, start, at);
+        }
+        Ok(())
+    }
+}
+
+fn length(start: u64, end: u64) -> io::Result<usize> {
+    usize::try_from(end - start).map_err(io::Error::other)
+}
+
+/// Copies what `bytes`, which start at `start`, have of `buffer`, which starts at `offset`, from `at` on,
+/// and says up to where that is. `at` lies in both, where `bytes` are whole.
+fn copy(buffer: &mut [u8], offset: u64, bytes: &[u8], start: u64, at: u64) -> u64 {
+    let [skipped, done] = [at - start, at - offset]
+        .map(|length| usize::try_from(length).expect("it lies in a buffer in memory"));
+    let (from, to) = (&bytes[skipped..], &mut buffer[done..]);
+    let count = from.len().min(to.len());
+    to[..count].copy_from_slice(&from[..count]);
+    at + count as u64
 }
 
 impl ByteSource for HttpSource {
@@ -127,25 +172,17 @@ impl ByteSource for HttpSource {
     }
 
     fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
-        let end = offset.checked_add(buffer.len() as u64).filter(|&end| end <= self.len);
-        let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
+        let end = offset.checked_add(buffer.len() as u64);
+        if end.is_none_or(|end| end > self.len) {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        if let Some(blocks) = &self.blocks {
+            return self.read_blocks(blocks, buffer, offset);
+        }
         let mut at = offset;
-        let mut left = buffer;
-        while at < end {
-            let bytes = match &self.blocks {
-                Some(blocks) => {
-                    let number = at / BLOCK_BYTES;
-                    let block = self.block(blocks, number)?;
-                    let skipped =
-                        usize::try_from(at - number * BLOCK_BYTES).map_err(io::Error::other)?;
-                    block.get(skipped..).ok_or(io::ErrorKind::UnexpectedEof)?.to_vec()
-                }
-                None => self.fetch(at, end.min(at + RANGE_BYTES))?,
-            };
-            let count = bytes.len().min(left.len());
-            let (now, later) = left.split_at_mut(count);
-            now.copy_from_slice(&bytes[..count]);
-            (left, at) = (later, at + count as u64);
+        for piece in buffer.chunks_mut(length(0, RANGE_BYTES)?) {
+            self.ranges.read(piece, at)?;
+            at += piece.len() as u64;
         }
         Ok(())
     }

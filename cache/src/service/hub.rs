@@ -14,7 +14,6 @@ use tracing::debug;
 
 use super::metrics::{Gauges, Metrics};
 use super::pages::StoredPage;
-use super::shelf::Shelf;
 use super::snapshot::{Served, Snapshot};
 
 /// Which page of what is served.
@@ -45,7 +44,6 @@ pub(super) struct Hub {
     /// Held by the one thread that makes the next snapshot.
     changing: Mutex<()>,
     pub(super) pages: Cache<PageKey, Arc<StoredPage>, PageBytes>,
-    pub(super) shelf: Shelf,
     pub(super) events: broadcast::Sender<Arc<str>>,
     pub(super) stopping: watch::Sender<bool>,
     pub(super) metrics: Metrics,
@@ -67,7 +65,6 @@ impl Hub {
             now,
             changing: Mutex::new(()),
             pages: Cache::with_weighter(pages.clamp(16, 1 << 20), memory_bytes, PageBytes),
-            shelf: Shelf::new(),
             events: broadcast::Sender::new(EVENTS),
             stopping: watch::Sender::new(false),
             metrics: Metrics::default(),

@@ -170,7 +170,7 @@ where
     };
     let watch = Watch::new(limits.stalled);
     let watched = Arc::clone(&watch);
-    let io = TokioIo::new(Patient::new(stream, Arc::clone(hub), limits.stalled));
+    let io = TokioIo::new(Patient::new(stream, limits.stalled));
     let service = service_fn(move |request| {
         let (asked, answer) = (watched.request(), respond(request));
         async move { Ok::<_, Infallible>(answer.await.map(|content| content.watched(asked))) }

@@ -17,8 +17,6 @@ mod snapshot;
 
 mod metrics;
 
-mod shelf;
-
 mod pages;
 
 mod hub;

@@ -29,7 +29,7 @@ impl StoredPage {
     /// What a page takes beside its bytes: headers, and its place in the table.
     const OVERHEAD_BYTES: u64 = 2048;
 
-    fn new(entry: &PageEntry, bytes: Bytes) -> Self {
+    fn new(entry: &PageEntry, bytes: Vec<u8>) -> Self {
         let mut headers = HeaderMap::new();
         let mut put = |name: &'static str, text: String| {
             let value = HeaderValue::try_from(text).expect("numbers are printable");
@@ -55,12 +55,11 @@ impl StoredPage {
             }
         };
         headers.insert(CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
-        Self { headers, tag, bytes }
+        Self { headers, tag, bytes: Bytes::from(bytes) }
     }
 
     pub(super) fn weight(&self) -> u64 {
-        // Memory comes in pages of its own.
-        (self.bytes.len() as u64).next_multiple_of(4096) + Self::OVERHEAD_BYTES
+        self.bytes.len() as u64 + Self::OVERHEAD_BYTES
     }
 
     fn answer(&self, hub: &Hub, asked: &HeaderMap) -> Answer {
@@ -145,10 +144,8 @@ async fn read(
     hub.metrics.reading.fetch_add(1, Relaxed);
     let read = spawn_blocking(move || {
         let start = Instant::now();
-        let found = served
-            .archive
-            .as_ref()
-            .map_or(Err(NoPage::GivenUp), |archive| stored(&counted, archive, page));
+        let found =
+            served.archive.as_ref().map_or(Err(NoPage::GivenUp), |archive| stored(archive, page));
         let nanos = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
         counted.metrics.read_nanos.fetch_add(nanos, Relaxed);
         counted.metrics.faults.fetch_add(1, Relaxed);
@@ -158,7 +155,7 @@ async fn read(
     read.await.unwrap_or(Err(NoPage::GivenUp)).map(Arc::new)
 }
 
-fn stored(hub: &Hub, archive: &Archive, page: PageAddress) -> Result<StoredPage, NoPage> {
+fn stored(archive: &Archive, page: PageAddress) -> Result<StoredPage, NoPage> {
     let entry = archive.find(page)?.ok_or(NoPage::Empty)?;
-    Ok(StoredPage::new(&entry, hub.shelf.put(archive.payload(&entry)?)))
+    Ok(StoredPage::new(&entry, archive.payload(&entry)?))
 }

@@ -2,15 +2,12 @@
 
 use std::io;
 use std::pin::Pin;
-use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, Sleep, sleep_until};
-
-use super::hub::Hub;
 
 /// A stream whose writes fail when nothing could be written for a while.
 ///
@@ -19,9 +16,6 @@ use super::hub::Hub;
 #[derive(Debug)]
 pub(super) struct Patient {
     stream: TcpStream,
-    hub: Arc<Hub>,
-    /// The shelf's.
-    crowd: u64,
     patience: Duration,
     /// Until when the write that waits may, or the end.
     waiting: Option<Pin<Box<Sleep>>>,
@@ -32,8 +26,8 @@ pub(super) struct Patient {
 const LINGER: Duration = Duration::from_secs(5);
 
 impl Patient {
-    pub(super) fn new(stream: TcpStream, hub: Arc<Hub>, patience: Duration) -> Self {
-        Self { stream, hub, crowd: 0, patience, waiting: None, is_ending: false }
+    pub(super) fn new(stream: TcpStream, patience: Duration) -> Self {
+        Self { stream, patience, waiting: None, is_ending: false }
     }
 
     fn judge<T>(
@@ -65,11 +59,12 @@ impl AsyncRead for Patient {
 
 impl AsyncWrite for Patient {
     fn poll_write(
-        self: Pin<&mut Self>,
+        mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        self.poll_write_vectored(context, &[io::IoSlice::new(bytes)])
+        let written = Pin::new(&mut self.stream).poll_write(context, bytes);
+        self.judge(written, context)
     }
 
     fn poll_write_vectored(
@@ -77,11 +72,7 @@ impl AsyncWrite for Patient {
         context: &mut Context<'_>,
         parts: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        let Self { stream, hub, crowd, .. } = &mut *self;
-        let written = match hub.shelf.poll_send(stream, context, parts, crowd) {
-            Some(written) => written,
-            None => Pin::new(stream).poll_write_vectored(context, parts),
-        };
+        let written = Pin::new(&mut self.stream).poll_write_vectored(context, parts);
         self.judge(written, context)
     }
 

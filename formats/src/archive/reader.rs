@@ -7,7 +7,7 @@ use super::bytes::checksum;
 use super::description::{Description, Summary};
 use super::entry::{ConstantTexel, PageEntry, Payload, payload_checksum};
 use super::error::ArchiveError;
-use super::layout::PREAMBLE_LEN;
+use super::layout::{PREAMBLE_LEN, TRAILER_LEN};
 use super::record::{ALIGNMENT, RECORD_HEAD_LEN, record_len};
 use super::recover::{self, Recovered};
 use super::tail::{Tail, read_description, read_trailer};
@@ -36,6 +36,8 @@ pub struct Archive {
     records: Range<u64>,
     /// `None` if the trailer is damaged.
     tail: Option<Tail>,
+    /// Whether the records may be walked.
+    may_walk: bool,
     rebuilt: OnceLock<Recovered>,
     /// Held by the one thread that walks the records.
     walking: Mutex<()>,
@@ -48,6 +50,26 @@ impl Archive {
     ///
     /// [`ArchiveError`] if neither end of it can be understood, or the medium fails.
     pub fn open(source: Box<dyn ByteSource>) -> Result<Self, ArchiveError> {
+        Self::open_with(source, true)
+    }
+
+    /// [`Self::open`] on a medium that is too far away to walk the records on: what a damaged trailer
+    /// or block of the index leads to cannot be had.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`Self::open`], or [`ArchiveError::Checksum`] if the trailer or the summary is
+    /// damaged.
+    pub fn open_afar(source: Box<dyn ByteSource>) -> Result<Self, ArchiveError> {
+        let archive = Self::open_with(source, false)?;
+        if archive.tail.is_none() {
+            let offset = archive.source.len().saturating_sub(TRAILER_LEN as u64);
+            return Err(ArchiveError::Checksum { what: "the end of the archive", offset });
+        }
+        Ok(archive)
+    }
+
+    fn open_with(source: Box<dyn ByteSource>, may_walk: bool) -> Result<Self, ArchiveError> {
         let trailer = match read_trailer(source.as_ref()) {
             Err(error @ ArchiveError::Read { .. }) => return Err(error),
             trailer => trailer,
@@ -83,6 +105,7 @@ impl Archive {
             head_len,
             records: records..end.max(records),
             tail,
+            may_walk,
             rebuilt: OnceLock::new(),
             walking: Mutex::new(()),
         })
@@ -136,7 +159,7 @@ impl Archive {
     /// # Errors
     ///
     /// [`ArchiveError::Read`] if the medium fails. Damage to the index is not an error: the
-    /// records answer instead.
+    /// records answer instead, but for an archive [opened from afar](Self::open_afar).
     pub fn find(&self, page: PageAddress) -> Result<Option<PageEntry>, ArchiveError> {
         if !self.description.grid.pyramid().contains(page) {
             return Ok(None);
@@ -146,7 +169,9 @@ impl Archive {
             match tail.find(self.source.as_ref(), key) {
                 Ok(None) => return Ok(None),
                 Ok(Some(entry)) if self.check(&entry).is_ok() => return Ok(Some(entry)),
-                Err(error @ ArchiveError::Read { .. }) => return Err(error),
+                Err(error) if !self.may_walk || matches!(error, ArchiveError::Read { .. }) => {
+                    return Err(error);
+                }
                 Ok(Some(_)) | Err(_) => {}
             }
         }
@@ -181,7 +206,9 @@ impl Archive {
         if let Some(tail) = self.tail.as_ref().filter(|_| self.rebuilt.get().is_none()) {
             match self.entries_of(tail) {
                 Ok(entries) => return Ok(entries),
-                Err(error @ ArchiveError::Read { .. }) => return Err(error),
+                Err(error) if !self.may_walk || matches!(error, ArchiveError::Read { .. }) => {
+                    return Err(error);
+                }
                 Err(_) => {}
             }
         }
@@ -239,8 +266,12 @@ impl Archive {
     ///
     /// # Errors
     ///
-    /// [`ArchiveError::Read`] if the medium fails.
+    /// [`ArchiveError::Read`] if the medium fails, [`ArchiveError::Checksum`] if the archive was
+    /// [opened from afar](Self::open_afar).
     pub fn rebuilt(&self) -> Result<&Recovered, ArchiveError> {
+        if !self.may_walk {
+            return Err(ArchiveError::Checksum { what: "the index", offset: self.records.end });
+        }
         // A thread that panicked here left nothing half done.
         let _walking = match self.rebuilt.get() {
             Some(rebuilt) => return Ok(rebuilt),

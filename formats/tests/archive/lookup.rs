@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use areoid_formats::address::{PageAddress, PageKey};
-use areoid_formats::archive::{Archive, ArchiveWriter, ConstantTexel, PageEntry, Payload};
+use areoid_formats::archive::{
+    Archive, ArchiveError, ArchiveWriter, ConstantTexel, PageEntry, Payload,
+};
 use areoid_formats::codec::Quantum;
 use areoid_formats::page::Kind;
 use proptest::prelude::*;
@@ -103,5 +105,33 @@ proptest! {
             prop_assert_eq!(found, expected, "byte {} changes {}", at, page);
         }
         prop_assert!(!archive.damage().unwrap().is_empty());
+    }
+
+    /// From afar the records are not walked: what a damaged block leads to cannot be had, and costs no
+    /// more than the block.
+    #[test]
+    fn from_afar_a_damaged_block_is_an_error(at in any::<prop::sample::Index>(), bit in 0..8_u8) {
+        let places = places(description(WIDE).grid.pyramid());
+        let (bytes, entries) = constants(WIDE, &places[..2 * 1023 + 5]);
+        let tail = bytes.len() - 128 - 64 - description(WIDE).to_json().len();
+        let index = (tail - 4 * 65_536) & !4095;
+        let at = index + at.index(4 * 65_536);
+        let source = Altered::flipped(&std::sync::Arc::new(bytes), at, 1 << bit);
+        let read = std::sync::Arc::clone(&source.read);
+        let archive = Archive::open_afar(Box::new(source)).unwrap();
+        let mut failed = 0;
+        for &page in &places {
+            let before = read.load(std::sync::atomic::Ordering::Relaxed);
+            match archive.find(page) {
+                Ok(found) => prop_assert_eq!(found, entries.get(&PageKey::from(page)).copied()),
+                Err(error) => {
+                    failed += 1;
+                    prop_assert!(matches!(error, ArchiveError::Checksum { .. }), "{}", error);
+                }
+            }
+            let more = read.load(std::sync::atomic::Ordering::Relaxed) - before;
+            prop_assert!(more <= 2 * 65_536, "{} bytes", more);
+        }
+        prop_assert!(failed > 0 && archive.rebuilt().is_err());
     }
 }

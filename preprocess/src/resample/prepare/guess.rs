@@ -72,10 +72,10 @@ impl Wide for Inside<'_> {
         for (step, weight) in ways.into_iter().rev() {
             sums.add(weight, along(pixels, at, |at, steps| at + steps * step));
         }
-        for lane in 0..LANES {
+        for (out, (value, weight)) in out.iter_mut().zip(sums.values.iter().zip(&sums.weights)) {
             #[expect(clippy::cast_possible_truncation, reason = "rounding to f32 is the point")]
-            let guess = (sums.values[lane] / sums.weights[lane]) as f32;
-            out[lane] = guess;
+            let guess = (value / weight) as f32;
+            *out = guess;
         }
     }
 }
@@ -161,8 +161,9 @@ mod tests {
         let all: Vec<f32> = (0..77).map(|at| (at * at * 37 % 1009) as f32 + 0.1).collect();
         let (width, center) = (7, [5, 3]);
         for pattern in 1..2000 {
-            let is_known =
-                |at: usize| [at / 7, at % 7] != center && (at * pattern + at / 5) % 4099 % 3 > 0;
+            let is_known = |at: usize| {
+                [at / 7, at % 7] != center && !((at * pattern + at / 5) % 4099).is_multiple_of(3)
+            };
             let pixels: Vec<f32> =
                 (0..77).map(|at| if is_known(at) { all[at] } else { f32::NAN }).collect();
             let (mut inside, mut both) = (Vec::new(), Vec::new());

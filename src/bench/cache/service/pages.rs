@@ -57,7 +57,7 @@ fn height_at(heights: u32, row: u32, col: u32) -> u16 {
     let bits = (bits ^ bits >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let bits = (bits ^ bits >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
     // The upper half times the count, over 2³²: less than the count.
-    u16::try_from((bits >> 32) * u64::from(heights) >> 32).unwrap_or(0)
+    u16::try_from(((bits >> 32) * u64::from(heights)) >> 32).unwrap_or(0)
 }
 
 /// The longest pages of a size, which are written as files under `root` by the paths that they have over
