@@ -87,7 +87,8 @@ fn after_all_of_it_nothing_is_stuck_and_nothing_has_grown() {
     let first = "export MALLOC_ARENA_MAX=1;";
     let server = Process::start_on(&place, &place.catalog(), first, &["--memory-mib", "4"]);
     let serving = server.child.id().to_string();
-    let cache = Cache::open(&place.catalog(), Options::with_budget(BUDGET_BYTES)).wait().unwrap();
+    let cache =
+        Cache::open(place.catalog().as_path(), Options::with_budget(BUDGET_BYTES)).wait().unwrap();
     let mut crowd = Crowd::new(&cache, &place, &server);
     let names = || -> Vec<String> {
         let datasets = cache.datasets();

@@ -9,7 +9,6 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use areoid_cache::camera::Pose;
-use areoid_cache::remote::{Client, RemoteCatalog};
 use areoid_cache::{Cache, DatasetInfo, Options, Selection, Session, View};
 use areoid_formats::archive::Archive;
 use areoid_formats::catalog::Catalog;
@@ -298,11 +297,10 @@ impl<'a> Crowd<'a> {
     /// A cache of what the server serves, for a moment.
     fn fly_afar(&self, seed: u64, end: Instant) {
         let mut chance = Chance(seed);
-        let client = Client::new(&format!("http://{}", self.public)).unwrap();
+        let url = format!("http://{}", self.public);
         while Instant::now() < end {
-            let remote = RemoteCatalog::open(&client, None).unwrap();
             let options = Options::with_budget(1 << 20);
-            let cache = Cache::with_archives(remote.body, remote.datasets, options).unwrap();
+            let cache = Cache::open(url.as_str(), options).wait().unwrap();
             let stay = Instant::now() + Duration::from_millis(200 + chance.below(600));
             self.fly(&mut cache.session(), chance.bits(), stay.min(end));
             let stats = cache.stats();
