@@ -15,6 +15,7 @@
 
 #![cfg(target_os = "linux")]
 #![expect(clippy::unwrap_used, reason = "a failed test may panic")]
+#![expect(clippy::print_stdout, reason = "figures, for whoever asks for them")]
 
 #[path = "service/rig.rs"]
 #[expect(dead_code, reason = "some of it is for the tests of the service")]

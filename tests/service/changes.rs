@@ -54,7 +54,7 @@ fn a_temporary_dataset_leaves_no_file_and_ends_with_the_service() {
 fn parts_of_a_temporary_group_go_together() {
     let serving = Serving::new();
     let raster = serving.place.path("rasters/globe.tif");
-    write_bare(&raster, 256, 128);
+    write_bare(&raster, 512, 256);
     let mut more = globe();
     let options = json!({ "rasters": [raster], "grid": "split", "temporary": true });
     more.as_object_mut().unwrap().extend(options.as_object().unwrap().clone());
