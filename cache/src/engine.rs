@@ -67,9 +67,7 @@ impl Engine {
             shared.tell();
         });
     }
-}
 
-impl Engine {
     /// What failed may be tried again at once: what was in its way is gone.
     pub(crate) fn forgive(&self) {
         self.shared.store().forgive();

@@ -175,12 +175,15 @@ impl Matcher {
 
     /// In order of need: roots, then coarse before fine, near before far, large error first.
     fn end(&mut self, scene: &Scene, found: &Found, requests: &mut Vec<Request>) {
-        // Coarse is what has large texels, in steps of two: levels of two datasets do not compare.
-        let coarseness = |seen: &Seen| seen.node.texel_m.max(f64::MIN_POSITIVE).log2().round();
+        // Coarse is what has large texels, in steps of two: levels of two datasets do not compare. The
+        // exponent of x √2 is the logarithm of x, rounded.
+        let coarseness = |seen: &Seen| {
+            (seen.node.texel_m.max(f64::MIN_POSITIVE) * std::f64::consts::SQRT_2).to_bits() >> 52
+        };
         self.needs.sort_by(|&(one, one_work), &(other, other_work)| {
             let (a, b) = (&found.seen[one], &found.seen[other]);
             (a.parent.is_some().cmp(&b.parent.is_some()))
-                .then(coarseness(b).total_cmp(&coarseness(a)))
+                .then(coarseness(b).cmp(&coarseness(a)))
                 .then(a.distance.total_cmp(&b.distance))
                 .then(b.pixels.total_cmp(&a.pixels))
                 .then(one_work.cmp(&other_work))

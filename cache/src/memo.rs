@@ -34,7 +34,7 @@ struct Family {
 
 impl Memo {
     /// More than so many families, and twice what the last search used, are not kept.
-    const MOST_FAMILIES: usize = 16_384;
+    const MOST_FAMILIES: usize = 4096;
 
     /// A search begins.
     pub(crate) fn begin(&mut self) {
