@@ -2,9 +2,14 @@
 
 use std::collections::HashSet;
 use std::sync::Barrier;
+use std::time::Duration;
+
+use tokio::time::advance;
 
 use super::*;
-use crate::store::PageName;
+use crate::open::newcomer;
+use crate::scene::Scene;
+use crate::store::{Limits, Outcome, PageName, Request, Store, Work};
 
 const PLENTY: usize = 64 << 20;
 /// Decoded bytes of a page.
@@ -344,6 +349,59 @@ fn what_failed_is_tried_again() {
         }
     };
     assert!(healed.missing == 0 && healed.pages.len() == healed.wanted);
+}
+
+/// What fails again and again is asked for less and less often; what has come is as if it had never
+/// failed, and so is everything once the reason is gone.
+#[tokio::test(start_paused = true)]
+async fn what_fails_again_waits_twice_as_long() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let newcomer = newcomer(globe.info.clone(), Arc::clone(&globe.archive) as _).unwrap();
+    let scene = Scene::empty(mars()).changed(|_| false, [newcomer]);
+    let (dataset, entry) = (&scene.datasets[0], globe.entries[0]);
+    let work = Work::Texels(PageName { dataset: dataset.number, page: entry.page });
+    let mut store = Store::new(PLENTY, Limits { loads: 1, bytes: PLENTY });
+    let attempt = |store: &mut Store, outcome| {
+        let request = Request { work, dataset: Arc::clone(dataset), entry, bytes: PAGE };
+        store.replace_requests(1, vec![request]);
+        assert_eq!(store.next().map(|request| request.work), Some(work));
+        store.finish(work, outcome);
+    };
+    let failed = || Outcome::Failed("out of order".into());
+    for seconds in [1, 2, 4, 8, 16, 32, 60, 60] {
+        attempt(&mut store, failed());
+        advance(Duration::from_millis(1000 * seconds - 1)).await;
+        assert!(store.error(work).is_some(), "{seconds}");
+        advance(Duration::from_millis(1)).await;
+        assert!(store.error(work).is_none(), "{seconds}");
+    }
+    attempt(&mut store, Outcome::Loaded(None));
+    attempt(&mut store, failed());
+    advance(Duration::from_secs(1)).await;
+    assert!(store.error(work).is_none());
+    attempt(&mut store, failed());
+    store.forgive();
+    assert!(store.error(work).is_none());
+}
+
+/// While many pages are missing, one in eight more is asked for to stand in for them; for a few, none.
+#[test]
+fn one_page_stands_in_for_eight() {
+    let globe = Gated::new("globe", fine_globe(), Kind::Height);
+    let extra = |tolerance_px, altitude| {
+        globe.gate.reads.lock().unwrap().clear();
+        let cache = globe.cache(PLENTY, 1);
+        let near = View { tolerance_px, ..view(10.0, 20.0, altitude, 60.0) };
+        let settled = cache.session().settle(&near);
+        let drawn: HashSet<_> = addresses(&settled).into_iter().collect();
+        let read = globe.page_reads();
+        let is_other = |page: &&PageAddress| !drawn.contains(*page) && page.level != Level(0);
+        (drawn.len(), read.keys().filter(is_other).count())
+    };
+    let (many, others) = extra(0.05, 1e6);
+    assert!(many > 40 && others >= 2 && others <= many / 8, "{others} for {many}");
+    let (few, others) = extra(5.0, 2e5);
+    assert!((2..8).contains(&few) && others == 0, "{others} for {few}");
 }
 
 /// Pages by name, one after another and beside a session that flies on.
