@@ -8,7 +8,7 @@ use areoid_cache::insertion_request::InsertRequest;
 use areoid_cache::remote::{self, Client};
 
 use crate::failure::Failure;
-use crate::ingest::IngestOptions;
+use crate::ingest_options::IngestOptions;
 use crate::output;
 use crate::remove::read_token;
 

@@ -6,6 +6,7 @@ mod failure;
 mod height;
 mod info;
 mod ingest;
+mod ingest_options;
 mod insert;
 mod interrupt;
 mod npy;

@@ -19,6 +19,9 @@
 #![cfg(unix)]
 #![expect(clippy::unwrap_used, reason = "a failed test may panic")]
 
+#[path = "support/mounted.rs"]
+mod mounted;
+
 mod service {
     mod changes;
     mod endpoints;

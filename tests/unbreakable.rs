@@ -29,6 +29,9 @@
 #[expect(dead_code, reason = "most of it is for the laws")]
 mod support;
 
+#[path = "support/mounted.rs"]
+mod mounted;
+
 mod unbreakable {
     mod churn;
     mod damage;

@@ -27,7 +27,7 @@ use rayon::prelude::*;
 use super::geotiff::{MARS_RADIUS_M, Place};
 use super::terrain::MISSING;
 use crate::failure::Failure;
-use crate::ingest::KernelArg;
+use crate::ingest_options::KernelArg;
 use crate::output;
 
 /// Resample a raster of heights, on all cores.

@@ -2,39 +2,13 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 use serde_json::json;
-use tempfile::TempDir;
+
+use crate::mounted::Mounted;
 
 use super::rig::{NAME, Place, TOKEN, ask, copy, get};
 use super::server::Process;
-
-/// A file system of a size, as long as this lives; `None` without the right to mount one.
-struct Mounted(TempDir);
-
-impl Mounted {
-    fn new(bytes: u64) -> Option<Self> {
-        let folder = TempDir::new().unwrap();
-        mount(&format!("size={bytes}"), folder.path()).then(|| Self(folder))
-    }
-
-    fn resize(&self, bytes: u64) {
-        assert!(mount(&format!("remount,size={bytes}"), self.0.path()));
-    }
-}
-
-impl Drop for Mounted {
-    fn drop(&mut self) {
-        let _ = Command::new("umount").arg(self.0.path()).status();
-    }
-}
-
-fn mount(options: &str, folder: &Path) -> bool {
-    let mut mount = Command::new("mount");
-    mount.args(["-t", "tmpfs", "-o", options, "tmpfs"]).arg(folder);
-    mount.output().is_ok_and(|output| output.status.success())
-}
 
 /// All files below a folder, with their bytes.
 fn files(folder: &Path) -> Vec<(String, Vec<u8>)> {
@@ -62,7 +36,7 @@ fn a_full_disk_ends_an_insertion_and_nothing_else() {
         println!("not allowed to mount a file system: not tested here");
         return;
     };
-    let catalog = disk.0.path().join("catalog");
+    let catalog = disk.path().join("catalog");
     copy(&place.catalog(), &catalog);
     let server = Process::start_on(&place, &catalog, "", &[]);
     let served = || get(server.public, "/v1/catalog").text();

@@ -7,6 +7,8 @@ use std::process::{Command, Output};
 
 use tempfile::TempDir;
 
+use crate::mounted::Mounted;
+
 use super::rig::{self, NAME, SMALL, Subject, Tiny, soak};
 
 const OTHER: &str = "other";
@@ -70,33 +72,6 @@ fn a_file_that_may_not_grow_is_told_and_gone_on_with() {
     assert!(half_way > 2, "{half_way}");
 }
 
-/// A file system of a size, as long as this lives; `None` without the right to mount one.
-struct Mounted(TempDir);
-
-impl Mounted {
-    fn new(bytes: u64) -> Option<Self> {
-        let folder = TempDir::new().unwrap();
-        let mounted = mount(&format!("size={bytes}"), folder.path());
-        mounted.then(|| Self(folder))
-    }
-
-    fn grow(&self) {
-        assert!(mount("remount,size=64m", self.0.path()));
-    }
-}
-
-impl Drop for Mounted {
-    fn drop(&mut self) {
-        let _ = Command::new("umount").arg(self.0.path()).status();
-    }
-}
-
-fn mount(options: &str, folder: &Path) -> bool {
-    let mut mount = Command::new("mount");
-    mount.args(["-t", "tmpfs", "-o", options, "tmpfs"]).arg(folder);
-    mount.output().is_ok_and(|output| output.status.success())
-}
-
 /// Sizes around those where each file finds no room: the archive, the scratch file, the note, the
 /// manifest.
 #[test]
@@ -119,7 +94,7 @@ fn a_full_file_system_is_told_and_gone_on_with() {
                 println!("not allowed to mount a file system: not tested here");
                 return;
             };
-            let catalog = disk.0.path().join("catalog");
+            let catalog = disk.path().join("catalog");
             let before = with_another(&catalog);
             let output = subject
                 .command(&catalog, &["--memory-mib", "2048", "--note-every-s", "3600"])
@@ -130,7 +105,7 @@ fn a_full_file_system_is_told_and_gone_on_with() {
                 full += 1;
                 let hint =
                     assert_nothing_lost(&output, "No space left on device", &catalog, &before);
-                disk.grow();
+                disk.resize(64 << 20);
                 let summary = subject.ingest(&catalog, &["--resume"]);
                 let units = summary["resumed_units"].as_u64().unwrap();
                 assert_eq!(hint, units > 0, "{what}");

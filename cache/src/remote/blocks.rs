@@ -1,8 +1,10 @@
 //! Blocks of archives on the disk, for the next time: of immutable content, so that none is ever stale.
 //!
 //! ```text
-//!   folder/CONTENT-NUMBER    XXH3 of the rest, 8 bytes; the rest
+//!   folder/CONTENT@SERVER-NUMBER    XXH3 of the rest, 8 bytes; the rest
 //! ```
+//!
+//! What one server says is never taken for what another has, even if both call it by one name.
 //!
 //! A block appears whole, by a rename; one whose length or checksum is wrong is not there. Before the bound
 //! would be passed, the longest unused go, down to nine tenths. Files of other names are let alone.
@@ -65,18 +67,18 @@ impl Blocks {
         Ok(Self { state: Mutex::new(state), ..blocks })
     }
 
-    fn path(&self, content: &str, number: u64) -> PathBuf {
-        self.folder.join(format!("{content}-{number}"))
+    fn path(&self, key: &str, number: u64) -> PathBuf {
+        self.folder.join(format!("{key}-{number}"))
     }
 
     /// Whether there is a block, whole or not.
-    pub(super) fn has(&self, content: &str, number: u64) -> bool {
-        self.path(content, number).exists()
+    pub(super) fn has(&self, key: &str, number: u64) -> bool {
+        self.path(key, number).exists()
     }
 
     /// The block of `length` bytes, if it is there and whole.
-    pub(super) fn read(&self, content: &str, number: u64, length: usize) -> Option<Vec<u8>> {
-        let file = File::open(self.path(content, number)).ok()?;
+    pub(super) fn read(&self, key: &str, number: u64, length: usize) -> Option<Vec<u8>> {
+        let file = File::open(self.path(key, number)).ok()?;
         let used = file.metadata().ok()?.modified().ok();
         let mut bytes = Vec::with_capacity(length + size_of::<u64>());
         (&file).take(length as u64 + SUM_BYTES + 1).read_to_end(&mut bytes).ok()?;
@@ -93,7 +95,7 @@ impl Blocks {
     }
 
     /// Keeps a block, if the disk lets it.
-    pub(super) fn write(&self, content: &str, number: u64, bytes: &[u8]) {
+    pub(super) fn write(&self, key: &str, number: u64, bytes: &[u8]) {
         let length = bytes.len() as u64 + SUM_BYTES;
         if length > self.most_bytes {
             return;
@@ -106,10 +108,10 @@ impl Blocks {
         state.written += length;
         state.names += 1;
         let (process, name) = (std::process::id(), state.names);
-        let new = self.folder.join(format!("{content}-{number}{NEW}{process}-{name}"));
+        let new = self.folder.join(format!("{key}-{number}{NEW}{process}-{name}"));
         let whole = [&xxh3_64(bytes).to_le_bytes()[..], bytes].concat();
         let written =
-            fs::write(&new, whole).and_then(|()| fs::rename(&new, self.path(content, number)));
+            fs::write(&new, whole).and_then(|()| fs::rename(&new, self.path(key, number)));
         if written.is_err() {
             // A cache that cannot be written is one that is not there.
             let _ = fs::remove_file(&new);
@@ -117,16 +119,17 @@ impl Blocks {
     }
 
     /// Drops a block whose bytes are not what they should be.
-    pub(super) fn forget(&self, content: &str, number: u64) {
+    pub(super) fn forget(&self, key: &str, number: u64) {
         // It may be gone already.
-        let _ = fs::remove_file(self.path(content, number));
+        let _ = fs::remove_file(self.path(key, number));
     }
 
-    /// Drops all blocks of a content.
-    pub(super) fn forget_all(&self, content: &str) {
+    /// Drops all blocks of a key.
+    pub(super) fn forget_all(&self, key: &str) {
         for (_, _, path) in self.listed() {
             let name = path.file_name().and_then(|name| name.to_str());
-            if name.is_some_and(|name| name.starts_with(content)) {
+            let rest = name.and_then(|name| name.strip_prefix(key));
+            if rest.is_some_and(|rest| rest.starts_with('-')) {
                 let _ = fs::remove_file(path);
             }
         }
@@ -165,13 +168,26 @@ impl Blocks {
     }
 }
 
+/// What the blocks of a content of a server are called, but for their numbers.
+pub(super) fn key(content: &str, server: &str) -> String {
+    let mut key = format!("{content}@");
+    for byte in server.bytes() {
+        if byte.is_ascii_alphanumeric() || byte == b'.' {
+            key.push(char::from(byte));
+        } else {
+            key.push_str(&format!("_{byte:02x}"));
+        }
+    }
+    key
+}
+
 /// Whether a file of this name is one of ours.
 fn is_block(name: &str) -> bool {
     let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
-    name.split_once('-').is_some_and(|(content, rest)| {
-        let number = rest.split_once(NEW).map_or(rest, |(number, _)| number);
-        is_content(content) && digits(number)
-    })
+    let named = name.split_once('@').filter(|(content, _)| is_content(content));
+    named
+        .and_then(|(_, rest)| rest.split_once('-'))
+        .is_some_and(|(_, rest)| digits(rest.split_once(NEW).map_or(rest, |(number, _)| number)))
 }
 
 /// Whether `text` names a content: 16 hexadecimal digits.
@@ -183,7 +199,7 @@ pub(super) fn is_content(text: &str) -> bool {
 mod tests {
     use super::*;
 
-    const CONTENT: &str = "0123456789abcdef";
+    const KEY: &str = "0123456789abcdef@here";
 
     fn bytes_in(folder: &Path) -> u64 {
         fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().metadata().unwrap().len()).sum()
@@ -194,68 +210,90 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let blocks = Blocks::open(folder.path(), 1000).unwrap();
         let aged = |number: u64, seconds: u64| {
-            let file = File::options().write(true).open(blocks.path(CONTENT, number)).unwrap();
+            let file = File::options().write(true).open(blocks.path(KEY, number)).unwrap();
             file.set_modified(SystemTime::now() - Duration::from_secs(seconds)).unwrap();
         };
         for number in 0..9 {
-            blocks.write(CONTENT, number, &[7; 92]);
+            blocks.write(KEY, number, &[7; 92]);
             aged(number, 1000 - number);
         }
         // Used again, the first outlives the second.
-        assert_eq!(blocks.read(CONTENT, 0, 92).unwrap(), [7; 92]);
+        assert_eq!(blocks.read(KEY, 0, 92).unwrap(), [7; 92]);
         for number in 9..40 {
-            blocks.write(CONTENT, number, &[7; 92]);
+            blocks.write(KEY, number, &[7; 92]);
             assert!(bytes_in(folder.path()) <= 1000, "{number}: {}", bytes_in(folder.path()));
             if number == 10 {
-                assert!(blocks.has(CONTENT, 0) && !blocks.has(CONTENT, 1));
+                assert!(blocks.has(KEY, 0) && !blocks.has(KEY, 1));
             }
         }
         assert!(bytes_in(folder.path()) >= 800);
         // What does not fit at all is not kept, and nothing is dropped for it.
-        blocks.write(CONTENT, 99, &[7; 993]);
-        assert!(!blocks.has(CONTENT, 99) && bytes_in(folder.path()) >= 800);
+        blocks.write(KEY, 99, &[7; 993]);
+        assert!(!blocks.has(KEY, 99) && bytes_in(folder.path()) >= 800);
     }
 
     #[test]
     fn a_block_that_is_not_what_was_written_is_not_there() {
         let folder = tempfile::tempdir().unwrap();
         let blocks = Blocks::open(folder.path(), 1 << 20).unwrap();
-        blocks.write(CONTENT, 3, b"some bytes");
-        let path = blocks.path(CONTENT, 3);
+        blocks.write(KEY, 3, b"some bytes");
+        let path = blocks.path(KEY, 3);
         let whole = fs::read(&path).unwrap();
-        assert_eq!(blocks.read(CONTENT, 3, 10).unwrap(), b"some bytes");
+        assert_eq!(blocks.read(KEY, 3, 10).unwrap(), b"some bytes");
         for other in [9, 11, 0] {
-            assert_eq!(blocks.read(CONTENT, 3, other), None, "of another length");
+            assert_eq!(blocks.read(KEY, 3, other), None, "of another length");
         }
         for at in 0..whole.len() {
             let mut damaged = whole.clone();
             damaged[at] ^= 1;
             fs::write(&path, damaged).unwrap();
-            assert_eq!(blocks.read(CONTENT, 3, 10), None, "byte {at}");
+            assert_eq!(blocks.read(KEY, 3, 10), None, "byte {at}");
             fs::write(&path, &whole[..at]).unwrap();
-            assert_eq!(blocks.read(CONTENT, 3, 10), None, "cut at {at}");
+            assert_eq!(blocks.read(KEY, 3, 10), None, "cut at {at}");
         }
+    }
+
+    #[test]
+    fn a_block_is_of_one_server() {
+        let folder = tempfile::tempdir().unwrap();
+        let blocks = Blocks::open(folder.path(), 1 << 20).unwrap();
+        let keys = ["http://one:80", "http://one:8", "http://one:8-0", "http://one_3a8"]
+            .map(|server| key("0123456789abcdef", server));
+        for (byte, key) in (0..).zip(&keys) {
+            blocks.write(key, 0, &[byte; 3]);
+        }
+        for (byte, key) in (0..).zip(&keys) {
+            assert_eq!(blocks.read(key, 0, 3).unwrap(), [byte; 3], "{key}");
+        }
+        blocks.forget_all(&keys[1]);
+        assert_eq!(keys.each_ref().map(|key| blocks.has(key, 0)), [true, false, true, true]);
     }
 
     /// A folder that holds other things as well, by mistake.
     #[test]
     fn other_files_are_let_alone() {
         let folder = tempfile::tempdir().unwrap();
-        let others = ["thesis.tex", "0123456789abcdef", "0123456789abcdef-", "2026-11"];
+        let others = [
+            "thesis.tex",
+            "0123456789abcdef",
+            "0123456789abcdef-7",
+            "0123456789abcdef@here-",
+            "a@b-1",
+        ];
         for name in others {
             fs::write(folder.path().join(name), [0; 500]).unwrap();
         }
-        let left = folder.path().join(format!("{CONTENT}-7{NEW}1-1"));
+        let left = folder.path().join(format!("{KEY}-7{NEW}1-1"));
         fs::write(&left, [0; 500]).unwrap();
         let blocks = Blocks::open(folder.path(), 400).unwrap();
         for number in 0..9 {
-            blocks.write(CONTENT, number, &[7; 92]);
+            blocks.write(KEY, number, &[7; 92]);
         }
-        blocks.forget_all(CONTENT);
+        blocks.forget_all(KEY);
         assert!(!left.exists(), "what a killed process left");
         for name in others {
             assert!(folder.path().join(name).exists(), "{name}");
         }
-        assert!(!blocks.has(CONTENT, 8));
+        assert!(!blocks.has(KEY, 8));
     }
 }

@@ -11,7 +11,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 
 use areoid_formats::storage::ByteSource;
 
-use super::blocks::{BLOCK_BYTES, Blocks};
+use super::blocks::{BLOCK_BYTES, Blocks, key};
 use super::client::Client;
 use super::range::Ranges;
 
@@ -27,7 +27,8 @@ const RANGE_BYTES: u64 = 1 << 20;
 pub struct HttpSource {
     ranges: Ranges,
     len: u64,
-    content: String,
+    /// What its blocks are called.
+    key: String,
     blocks: Option<Arc<Blocks>>,
     /// Numbers of blocks that somebody is asking for.
     asked: Mutex<BTreeSet<u64>>,
@@ -69,9 +70,10 @@ impl HttpSource {
         len: u64,
         blocks: Option<Arc<Blocks>>,
     ) -> Self {
-        let (ranges, content) = (Ranges::new(client, file, content), content.to_owned());
+        let key = key(content, client.address());
+        let ranges = Ranges::new(client, file, content);
         let (asked, answered) = (Mutex::default(), Condvar::new());
-        Self { ranges, len, content, blocks, asked, answered }
+        Self { ranges, len, key, blocks, asked, answered }
     }
 
     /// Whether something is kept on the disk.
@@ -84,7 +86,7 @@ impl HttpSource {
         if let Some(blocks) = &self.blocks {
             let last = offset.saturating_add(length).min(self.len).saturating_sub(1);
             for number in offset / BLOCK_BYTES..=last / BLOCK_BYTES {
-                blocks.forget(&self.content, number);
+                blocks.forget(&self.key, number);
             }
         }
     }
@@ -92,7 +94,7 @@ impl HttpSource {
     /// Drops all that is kept.
     pub(super) fn forget_all(&self) {
         if let Some(blocks) = &self.blocks {
-            blocks.forget_all(&self.content);
+            blocks.forget_all(&self.key);
         }
     }
 
@@ -113,7 +115,7 @@ impl HttpSource {
             return None;
         }
         let most = last.min(number + RANGE_BYTES / BLOCK_BYTES - 1);
-        let is_free = |next: &u64| !asked.contains(next) && !blocks.has(&self.content, *next);
+        let is_free = |next: &u64| !asked.contains(next) && !blocks.has(&self.key, *next);
         let behind = (number + 1..=most).take_while(is_free).last();
         let numbers = number..behind.unwrap_or(number) + 1;
         asked.extend(numbers.clone());
@@ -128,13 +130,13 @@ impl HttpSource {
             let number = at / BLOCK_BYTES;
             let (start, block_end) = self.extent(number);
             let length = length(start, block_end)?;
-            if let Some(block) = blocks.read(&self.content, number, length) {
+            if let Some(block) = blocks.read(&self.key, number, length) {
                 at = copy(buffer, offset, &block, start, at);
                 continue;
             }
             let Some(claim) = self.claim(blocks, number, (end - 1) / BLOCK_BYTES) else { continue };
             // It may have come between the look and the claim.
-            if let Some(block) = blocks.read(&self.content, number, length) {
+            if let Some(block) = blocks.read(&self.key, number, length) {
                 at = copy(buffer, offset, &block, start, at);
                 continue;
             }
@@ -143,7 +145,7 @@ impl HttpSource {
             self.ranges.read(&mut run, start)?;
             let block_bytes = self::length(0, BLOCK_BYTES)?;
             for (number, block) in claim.numbers.clone().zip(run.chunks(block_bytes)) {
-                blocks.write(&self.content, number, block);
+                blocks.write(&self.key, number, block);
             }
             at = copy(buffer, offset, &run, start, at);
         }

@@ -18,7 +18,7 @@ use rayon::ThreadPool;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::UNIT_PAGES;
-use super::request::{Event, IngestError, Reading, Request, TargetGrid, Watch, tell};
+use super::request::{Event, IngestError, PARTS, Reading, Request, TargetGrid, Watch, tell};
 use crate::feather::FEATHER_TEXELS;
 use crate::mosaic::{Layout, Mosaic, MosaicError};
 use crate::normals::Normals;
@@ -143,10 +143,11 @@ fn origins(
         TargetGrid::Split => {
             let Split { rows, north, south } = split(&placement, request.page_side)?;
             let cap = |grid| resampled(grid, layout.clone());
+            let [band, at_north, at_south] = PARTS;
             return Ok(vec![
-                ("band", false, native(&layout, rows, kind, request.page_side)?),
-                ("north", true, cap(north)?),
-                ("south", true, cap(south)?),
+                (band, false, native(&layout, rows, kind, request.page_side)?),
+                (at_north, true, cap(north)?),
+                (at_south, true, cap(south)?),
             ]);
         }
     };

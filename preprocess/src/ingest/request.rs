@@ -81,12 +81,13 @@ impl Request {
         let called = self.called();
         match self.grid {
             TargetGrid::One(_) => vec![called],
-            TargetGrid::Split => {
-                ["band", "north", "south"].iter().map(|part| format!("{called}.{part}")).collect()
-            }
+            TargetGrid::Split => PARTS.iter().map(|part| format!("{called}.{part}")).collect(),
         }
     }
 }
+
+/// What the parts of a split globe are called.
+pub(super) const PARTS: [&str; 3] = ["band", "north", "south"];
 
 /// What the texels of a dataset lie on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
