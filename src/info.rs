@@ -81,11 +81,12 @@ impl Args {
 
 fn text(described: &Value, datasets: &[Value]) -> Result<(), Failure> {
     let body = &described["body"];
+    let radius = |axis: &str| body[axis].as_f64().unwrap_or(f64::NAN);
     output::line(format_args!(
         "{} ({} x {} m), generation {}",
         body["name"].as_str().unwrap_or_default(),
-        body["a_m"],
-        body["b_m"],
+        radius("a_m"),
+        radius("b_m"),
         described["generation"],
     ))?;
     for dataset in datasets {

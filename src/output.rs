@@ -10,7 +10,21 @@ use crate::failure::Failure;
 
 /// Prints a line on stdout.
 pub(crate) fn line(text: impl std::fmt::Display) -> Result<(), Failure> {
-    Ok(writeln!(io::stdout().lock(), "{text}")?)
+    Ok(writeln!(io::stdout().lock(), "{}", plain(text))?)
+}
+
+/// Control characters, but ends of lines and tabs, as escapes: what a file or a server says does not
+/// steer a terminal.
+fn plain(text: impl std::fmt::Display) -> String {
+    let mut plain = String::new();
+    for character in text.to_string().chars() {
+        if character.is_control() && !matches!(character, '\n' | '\t') {
+            plain.extend(character.escape_default());
+        } else {
+            plain.push(character);
+        }
+    }
+    plain
 }
 
 /// Prints one JSON document on stdout.
@@ -23,7 +37,7 @@ pub(crate) fn json(document: &impl Serialize) -> Result<(), Failure> {
 /// Says something on stderr.
 pub(crate) fn say(text: impl std::fmt::Display) {
     // Nobody to hear it is no reason to stop.
-    let _ = writeln!(io::stderr().lock(), "{text}");
+    let _ = writeln!(io::stderr().lock(), "{}", plain(text));
 }
 
 /// Writes a file so that it appears whole or not at all.
@@ -42,4 +56,15 @@ pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
         let _ = fs::remove_file(&temporary);
         failed(error).into()
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::plain;
+
+    #[test]
+    fn nothing_that_is_said_steers_a_terminal() {
+        assert_eq!(plain("höher\tals\n21 km"), "höher\tals\n21 km");
+        assert_eq!(plain("a\u{1b}[2J\r\u{9b}b\u{7f}"), "a\\u{1b}[2J\\r\\u{9b}b\\u{7f}");
+    }
 }

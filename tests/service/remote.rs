@@ -113,7 +113,16 @@ fn a_vanished_network_fails_in_bounded_time_and_heals() {
 
 #[test]
 fn what_is_no_server_is_refused() {
-    for url in ["", "http://", "https://host", "ftp://host", "/a/folder"] {
+    for url in [
+        "",
+        "http://",
+        "https://host",
+        "ftp://host",
+        "/a/folder",
+        "http://[::1",
+        "http://a b",
+        "http://:80",
+    ] {
         assert!(matches!(Client::new(url), Err(RemoteError::Url { .. })), "{url}");
     }
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use areoid_formats::archive::ArchiveError;
 use serde_json::Value;
-use ureq::http::{Response, StatusCode};
+use ureq::http::{Response, StatusCode, Uri};
 use ureq::{Agent, Body};
 
 use super::link::{Link, is_nobody};
@@ -68,7 +68,7 @@ pub enum RemoteError {
         source: io::Error,
     },
     /// It is no address of a server.
-    #[error("{url} is not the address of a server: it starts with http://")]
+    #[error("{url} is not the address of a server, such as http://127.0.0.1:8360")]
     Url {
         /// The address.
         url: String,
@@ -108,7 +108,10 @@ impl Client {
     /// [`RemoteError::Url`].
     pub fn new(url: &str) -> Result<Self, RemoteError> {
         let base = url.trim_end_matches('/').to_owned();
-        if base.strip_prefix("http://").is_none_or(str::is_empty) {
+        let is_address = |uri: &Uri| {
+            uri.scheme_str() == Some("http") && uri.host().is_some_and(|host| !host.is_empty())
+        };
+        if !base.parse().is_ok_and(|uri| is_address(&uri)) {
             return Err(RemoteError::Url { url: url.to_owned() });
         }
         let config = Agent::config_builder()
