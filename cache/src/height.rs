@@ -90,6 +90,7 @@ fn layer(info: &DatasetInfo, page: &ResidentPage, position: Geographic) -> Optio
         quality: info.grid.quality(position),
         coverage: found.coverage,
         weight: 1.0,
+        series: 0,
         value: found.value,
         bound: f64::from(page.entry.bound),
         // Fully covered taps have fully covered leaves below them.

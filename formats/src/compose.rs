@@ -26,6 +26,9 @@ pub struct Layer {
     pub coverage: f64,
     /// The user's weight u in [0, 1].
     pub weight: f64,
+    /// Layers of one priority and one series are states of one thing, such as two dates of it: their
+    /// α add up to 1 at most. 0 stands alone.
+    pub series: u32,
     /// Meters in the first number, or color codes.
     pub value: [f64; 3],
     /// How far `value` may be from the dataset's finest level.
@@ -43,14 +46,18 @@ pub struct Composed {
     pub bound: f64,
     /// The share of each layer, in the order given; they sum to 1.
     pub shares: Vec<f64>,
+    /// How far the weights let the layers cover what is behind all of them: 1 where each is 1.
+    pub opacity: f64,
 }
 
 /// Composes `layers`, given in any order; `None` if none of them counts.
 ///
 /// Within a priority the value is the mean by q·c·u; the priorities are laid over one another,
 /// front to back, each with the α by which its datasets together cover the place,
-/// 1 − Π(1 − c·u). What shows through behind the last is nobody's, so the shares are scaled to
-/// sum to 1: a lone dataset answers however small its coverage.
+/// 1 − Π(1 − c·u); of a series Σ c·u counts as one dataset's. What shows through behind the last is
+/// nobody's, so the shares are scaled to sum to 1: a lone dataset answers however small its coverage.
+/// What its weight takes from it is told apart, in [`Composed::opacity`]: the α of all, over the α that
+/// they had if every weight were 1.
 ///
 /// # Precision
 ///
@@ -63,12 +70,12 @@ pub fn compose(layers: &[Layer]) -> Option<Composed> {
     order.sort_by_key(|&i| std::cmp::Reverse(layers[i].priority));
 
     let mut shares = vec![0.0; layers.len()];
-    let mut transparency = 1.0;
+    let (mut transparency, mut unweighted) = (1.0, 1.0);
     for group in order.chunk_by(|&i, &j| layers[i].priority == layers[j].priority) {
         let weight = |i: usize| layers[i].quality * layers[i].coverage * layers[i].weight;
         let total: f64 = group.iter().map(|&i| weight(i)).sum();
-        let see_through: f64 =
-            group.iter().map(|&i| 1.0 - (layers[i].coverage * layers[i].weight).min(1.0)).product();
+        let see_through = see_through(layers, group, |layer| layer.coverage * layer.weight);
+        unweighted *= self::see_through(layers, group, |layer| layer.coverage);
         for &i in group {
             shares[i] = transparency * (1.0 - see_through) * weight(i) / total;
         }
@@ -97,7 +104,24 @@ pub fn compose(layers: &[Layer]) -> Option<Composed> {
     if shown().count() > 1 {
         bound += uncertainty.min(1.0) * spread;
     }
-    Some(Composed { value, bound, shares })
+    let opacity = ((1.0 - transparency) / (1.0 - unweighted)).min(1.0);
+    Some(Composed { value, bound, shares, opacity })
+}
+
+/// What layers of one priority leave clear of what is behind them.
+fn see_through(layers: &[Layer], group: &[usize], alpha: impl Fn(&Layer) -> f64) -> f64 {
+    let is_first = |place: usize| {
+        let series = layers[group[place]].series;
+        series == 0 || group[..place].iter().all(|&i| layers[i].series != series)
+    };
+    let of_series = |place: usize| {
+        let series = layers[group[place]].series;
+        let alike = group[place..].iter().map(|&i| &layers[i]);
+        let states = alike.take(if series == 0 { 1 } else { usize::MAX });
+        let sum: f64 = states.filter(|layer| layer.series == series).map(&alpha).sum();
+        1.0 - sum.min(1.0)
+    };
+    (0..group.len()).filter(|&place| is_first(place)).map(of_series).product()
 }
 
 #[cfg(test)]
@@ -108,7 +132,7 @@ mod tests {
     fn layer(priority: i32, coverage: f64, value: f64) -> Layer {
         let value = [value, 0.0, 0.0];
         let (quality, weight, bound, coverage_bound) = (1.0, 1.0, 0.0, 0.0);
-        Layer { priority, quality, coverage, weight, value, bound, coverage_bound }
+        Layer { priority, quality, coverage, weight, series: 0, value, bound, coverage_bound }
     }
 
     #[test]
@@ -125,6 +149,26 @@ mod tests {
         assert_eq!((composed.value[0], composed.shares), (7.0, vec![0.0, 1.0]));
         let half = compose(&[layer(0, 1.0, 5.0), layer(3, 0.5, 7.0)]).unwrap();
         assert_eq!(half.value[0], 6.0);
+    }
+
+    #[test]
+    fn two_states_blend_and_show_nothing_beneath() {
+        let state = |weight, value| Layer { weight, series: 7, ..layer(1, 1.0, value) };
+        let composed = compose(&[layer(0, 1.0, 1e6), state(0.25, 8.0), state(0.75, 4.0)]).unwrap();
+        assert_eq!((composed.value[0], composed.opacity), (5.0, 1.0));
+        // Apart, each would let a share of what is beneath through the other.
+        let apart = [state(0.25, 8.0), state(0.75, 4.0)].map(|layer| Layer { series: 0, ..layer });
+        let composed = compose(&[layer(0, 1.0, 1e6), apart[0], apart[1]]).unwrap();
+        assert!(composed.value[0] > 1e5);
+    }
+
+    #[test]
+    fn opacity_is_what_the_weights_leave() {
+        let faint = |coverage| Layer { weight: 0.25, ..layer(0, coverage, 3.0) };
+        assert_eq!(compose(&[faint(1.0)]).unwrap().opacity, 0.25);
+        assert_eq!(compose(&[faint(0.5)]).unwrap().opacity, 0.25);
+        assert_eq!(compose(&[faint(1.0), layer(-1, 1.0, 0.0)]).unwrap().opacity, 1.0);
+        assert_eq!(compose(&[layer(0, 0.125, 3.0)]).unwrap().opacity, 1.0);
     }
 
     #[test]

@@ -88,6 +88,7 @@ impl<'a> HeightQuery<'a> {
             quality: grid.quality(position),
             coverage: found.coverage,
             weight: 1.0,
+            series: 0,
             value: found.value,
             bound: f64::from(entry.bound),
             // Fully covered taps have fully covered leaves below them, and those are the taps of

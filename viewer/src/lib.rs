@@ -10,7 +10,13 @@ pub use areoid_cache::camera;
 
 pub mod orbit;
 
+pub mod style;
+
+pub mod sun;
+
 mod mirror;
+
+pub mod atmosphere;
 
 mod shader;
 
@@ -37,5 +43,7 @@ pub mod window;
 )]
 mod testing;
 
+pub use atmosphere::Atmosphere;
 pub use gpu::{Gpu, GpuError};
-pub use render::{Aovs, FrameStatistics, Image, Light, Options, Renderer};
+pub use render::{Aovs, FrameStatistics, Image, Light, Options, Relief, Renderer};
+pub use style::Style;

@@ -14,10 +14,7 @@ use areoid_formats::units::Radians;
 use glam::{DMat3, DVec3};
 
 use crate::mirror;
-
-/// The anchor of a frame that a map does not reach.
-pub(crate) const ABSENT: mirror::Anchor =
-    mirror::Anchor { texel: [i32::MIN; 2], fraction: [0.0; 2], matrix: [0.0; 4] };
+use crate::style::{Part, Plane};
 
 /// Anchors farther than this from the outline count as absent: a 32-bit texel must not overflow.
 const MOST_TEXELS: f64 = 1e9;
@@ -85,6 +82,41 @@ pub(crate) struct DatasetMap {
     latitude_ratio: f64,
 }
 
+/// The maps of the datasets that take part, by plane, the highest priority first.
+#[derive(Debug, Default)]
+pub(crate) struct Maps {
+    maps: Vec<DatasetMap>,
+    /// Where each plane starts, and where the last ends.
+    starts: [usize; 5],
+}
+
+impl Maps {
+    /// Of datasets and their parts, sorted.
+    pub(crate) fn new<'a>(parts: impl Iterator<Item = (&'a DatasetInfo, Part)>) -> Self {
+        let mut made = Self::default();
+        for (info, part) in parts {
+            made.maps.push(DatasetMap::new(info));
+            made.starts[part.plane as usize + 1] = made.maps.len();
+        }
+        for plane in 1..made.starts.len() {
+            made.starts[plane] = made.starts[plane].max(made.starts[plane - 1]);
+        }
+        made
+    }
+
+    /// Those of a plane, with their places among all.
+    pub(crate) fn of_plane(&self, plane: Plane) -> impl Iterator<Item = (u32, &DatasetMap)> {
+        let (first, end) = (self.starts[plane as usize], self.starts[plane as usize + 1]);
+        let count = |place: usize| u32::try_from(place).expect("fewer datasets than 2^32");
+        (first..end).map(move |place| (count(place), &self.maps[place]))
+    }
+
+    /// All of them.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = &DatasetMap> {
+        self.maps.iter()
+    }
+}
+
 impl DatasetMap {
     pub(crate) fn new(info: &DatasetInfo) -> Self {
         let crs = info.grid.crs();
@@ -118,9 +150,9 @@ impl DatasetMap {
     }
 
     /// The constants for the shaders. The windows of the page table start at `first_window`, and
-    /// datasets of the same `rank` are blended.
+    /// datasets of the same priority are blended.
     #[expect(clippy::cast_possible_truncation, reason = "sizes and ratios; no place on the planet")]
-    pub(crate) fn mirrored(&self, first_window: i32, rank: i32) -> mirror::Dataset {
+    pub(crate) fn mirrored(&self, first_window: i32, part: &Part) -> mirror::Dataset {
         let (crs, pyramid) = (self.info.grid.crs(), self.info.grid.pyramid());
         let extent = pyramid.extent();
         let body = &crs.body;
@@ -139,7 +171,7 @@ impl DatasetMap {
             interior: narrow(pyramid.interior()),
             levels: i32::from(pyramid.finest().0) + 1,
             first_window,
-            priority: rank,
+            priority: part.priority,
             polar,
             wraps: i32::from(extent.wraps),
             period: period as f32,
@@ -147,22 +179,24 @@ impl DatasetMap {
             hemisphere: hemisphere as f32,
             eccentricity: crs.ellipsoid.eccentricity_squared().sqrt() as f32,
             ground: [(body.a().0 / per_unit[0]) as f32, (meridian / per_unit[1]) as f32],
-            _pad: [0; 2],
+            weight: part.weight as f32,
+            series: part.series,
         }
     }
 
-    /// The anchor of a frame with these axes, for places within a chord of `reach` of it.
+    /// The anchor of a frame with these axes, for places within a chord of `reach` of it; `None` where
+    /// the map does not reach them. `dataset` is its place among the shaders' datasets.
     #[expect(clippy::cast_possible_truncation, reason = "whole texels, and fractions of one")]
-    pub(crate) fn anchor(&self, axes: &DMat3, reach: f64) -> mirror::Anchor {
+    pub(crate) fn anchor(&self, dataset: u32, axes: &DMat3, reach: f64) -> Option<mirror::Anchor> {
         let up = axes.z_axis;
         if !self.cap.meets(up, reach) {
-            return ABSENT;
+            return None;
         }
         let grid = &self.info.grid;
-        let Some(point) = grid.crs().project(geographic_from_normal(up)) else { return ABSENT };
+        let point = grid.crs().project(geographic_from_normal(up))?;
         let place = grid.texel_from_map(grid.pyramid().finest(), point);
         if !(place.x.abs() < MOST_TEXELS && place.y.abs() < MOST_TEXELS) {
-            return ABSENT;
+            return None;
         }
         let (left, top) = (place.x.floor(), place.y.floor());
         let matrix = match self.factors {
@@ -177,11 +211,13 @@ impl DatasetMap {
                 [x * sine, x * cosine, y * cosine, -y * sine]
             }
         };
-        mirror::Anchor {
+        Some(mirror::Anchor {
             texel: [left as i32, top as i32],
             fraction: [(place.x - left) as f32, (place.y - top) as f32],
             matrix: matrix.map(|factor| factor as f32),
-        }
+            dataset,
+            _pad: [0; 3],
+        })
     }
 
     /// E(τ), 1 at the pole, at a normal of height `z` over the equator.

@@ -22,10 +22,32 @@ pub(crate) struct Scene {
     pub(crate) viewport: [u32; 2],
     pub(crate) equatorial_radius: f32,
     pub(crate) eccentricity2: f32,
+    pub(crate) bare: [f32; 3],
     pub(crate) pixel_angle: f32,
-    pub(crate) heights: u32,
-    pub(crate) datasets: u32,
+    pub(crate) ramp: [[f32; 4]; 16],
+    pub(crate) ramp_stops: u32,
+    pub(crate) ramp_opacity: f32,
     pub(crate) lod_bias: f32,
+    pub(crate) exposure: f32,
+    pub(crate) relief: [f32; 3],
+    pub(crate) _pad: u32,
+}
+
+/// Mirrors `struct Atmosphere` of `shader/atmosphere.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct Atmosphere {
+    pub(crate) rayleigh: [f32; 3],
+    pub(crate) rayleigh_height: f32,
+    pub(crate) mie: [f32; 3],
+    pub(crate) mie_height: f32,
+    pub(crate) mie_extinction: [f32; 3],
+    pub(crate) asymmetry: f32,
+    pub(crate) eye_up: [f32; 3],
+    pub(crate) eye_height: f32,
+    pub(crate) radius: f32,
+    pub(crate) top: f32,
+    pub(crate) _pad: [u32; 2],
 }
 
 /// Mirrors `struct Frame` of `shader/frame.wgsl`.
@@ -39,7 +61,7 @@ pub(crate) struct Frame {
     pub(crate) north: [f32; 3],
     pub(crate) _pad1: u32,
     pub(crate) up: [f32; 3],
-    pub(crate) _pad2: u32,
+    pub(crate) lists: [u32; 5],
 }
 
 /// Mirrors `struct Anchor` of `shader/map.wgsl`.
@@ -49,6 +71,8 @@ pub(crate) struct Anchor {
     pub(crate) texel: [i32; 2],
     pub(crate) fraction: [f32; 2],
     pub(crate) matrix: [f32; 4],
+    pub(crate) dataset: u32,
+    pub(crate) _pad: [u32; 3],
 }
 
 /// Mirrors `struct Dataset` of `shader/map.wgsl`.
@@ -67,7 +91,8 @@ pub(crate) struct Dataset {
     pub(crate) hemisphere: f32,
     pub(crate) eccentricity: f32,
     pub(crate) ground: [f32; 2],
-    pub(crate) _pad: [u32; 2],
+    pub(crate) weight: f32,
+    pub(crate) series: u32,
 }
 
 /// Mirrors `struct Edge` of `shader/mesh.wgsl`.

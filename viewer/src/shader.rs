@@ -34,7 +34,12 @@ impl Program {
         let deferred = include_str!("shader/deferred.wgsl");
         let own: &[&str] = match self {
             Self::Mesh => &[],
-            Self::Shade => &[deferred, include_str!("shader/shade.wgsl")],
+            Self::Shade => &[
+                deferred,
+                include_str!("shader/color.wgsl"),
+                include_str!("shader/atmosphere.wgsl"),
+                include_str!("shader/shade.wgsl"),
+            ],
             Self::Measure => &[deferred, include_str!("shader/measure.wgsl")],
         };
         [SURFACE, own].concat().join("\n")

@@ -15,13 +15,19 @@ use areoid_formats::geodesy::Geographic;
 use areoid_formats::grid::TexelPoint;
 use areoid_formats::page::{Kind, Reconstruction};
 
+use crate::style::{Part, Plane, Ramp, Style, with_luminance_of};
+
+/// sRGB codes where no dataset has colors.
+pub const BARE_COLOR: [f64; 3] = [158.0, 140.0, 128.0];
+
 /// The pages of a selection, found by place.
 #[derive(Debug, Default)]
 pub struct Surface {
     datasets: Datasets,
     pages: HashMap<(usize, PageKey), Arc<ResidentPage>>,
-    /// Datasets of each kind that have a page at all.
-    present: Vec<usize>,
+    /// Datasets that take part and have a page at all.
+    present: Vec<(usize, Part)>,
+    ramp: Option<Ramp>,
 }
 
 /// A composed value of a surface.
@@ -33,25 +39,40 @@ pub struct SurfacePoint {
     pub bound: f64,
     /// The level used in the dataset with the largest share.
     pub level: f64,
+    /// How far the user's weights let it cover what there is without it.
+    pub opacity: f64,
 }
 
 impl Surface {
     /// The surface that a selection's pages make.
     #[must_use]
     pub fn new(selection: &Selection) -> Self {
+        Self::styled(selection, &Style::default())
+    }
+
+    /// The surface that a selection's pages make in a style.
+    #[must_use]
+    pub fn styled(selection: &Selection, style: &Style) -> Self {
         let pages: HashMap<_, _> = selection
             .pages
             .iter()
             .map(|page| ((page.dataset, PageKey::from(page.entry.page)), Arc::clone(page)))
             .collect();
-        let mut present: Vec<usize> = pages.keys().map(|&(dataset, _)| dataset).collect();
-        present.sort_unstable();
-        present.dedup();
-        Self { datasets: selection.datasets.clone(), pages, present }
+        let mut numbers: Vec<usize> = pages.keys().map(|&(dataset, _)| dataset).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        let part_of = |number: usize| {
+            let info = selection.datasets.get(number)?;
+            let part = style.part(&info.name, info.kind, info.priority);
+            (part.weight > 0.0).then_some((number, part))
+        };
+        let present = numbers.into_iter().filter_map(part_of).collect();
+        let (datasets, ramp) = (selection.datasets.clone(), style.ramp.clone());
+        Self { datasets, pages, present, ramp }
     }
 
     /// The composition of all datasets of `kind`, seen at `footprint_m` ground meters to a sample:
-    /// 0 asks for the finest there is.
+    /// 0 asks for the finest there is. Datasets that are only taken for luminance do not count.
     #[must_use]
     pub fn compose(
         &self,
@@ -59,9 +80,46 @@ impl Surface {
         position: Geographic,
         footprint_m: f64,
     ) -> Option<SurfacePoint> {
+        let plane = match kind {
+            Kind::Height => Plane::Heights,
+            Kind::Color => Plane::Colors,
+            Kind::Normal => Plane::Normals,
+        };
+        self.compose_plane(plane, position, footprint_m)
+    }
+
+    /// The sRGB codes of the ground, unlit: the colors over the ground's own, the ramp over them, and
+    /// the luminances' share of both.
+    #[must_use]
+    pub fn color(&self, position: Geographic, footprint_m: f64) -> [f64; 3] {
+        let over = |below: [f64; 3], above: [f64; 3], opacity: f64| -> [f64; 3] {
+            std::array::from_fn(|i| below[i] + (above[i] - below[i]) * opacity)
+        };
+        let of_plane = |plane| self.compose_plane(plane, position, footprint_m);
+        let mut color = BARE_COLOR;
+        if let Some(found) = of_plane(Plane::Colors) {
+            color = over(color, found.value, found.opacity);
+        }
+        if let (Some(ramp), Some(found)) = (&self.ramp, of_plane(Plane::Heights)) {
+            color = over(color, ramp.color(found.value[0]), ramp.opacity);
+        }
+        if let Some(found) = of_plane(Plane::Luminances) {
+            let of_one = |codes: [f64; 3]| codes.map(|code| code / 255.0);
+            let both = with_luminance_of(of_one(color), of_one(found.value));
+            color = over(color, both.map(|channel| 255.0 * channel), found.opacity);
+        }
+        color
+    }
+
+    fn compose_plane(
+        &self,
+        plane: Plane,
+        position: Geographic,
+        footprint_m: f64,
+    ) -> Option<SurfacePoint> {
         let mut layers = Vec::with_capacity(self.present.len());
         let mut levels = Vec::with_capacity(self.present.len());
-        for &dataset in self.present.iter().filter(|&&i| self.datasets[i].kind == kind) {
+        for &(dataset, part) in self.present.iter().filter(|(_, part)| part.plane == plane) {
             let info = &self.datasets[dataset];
             let (largest, _) = info.grid.crs().principal_scales(position, info.grid.pixel_size());
             let finest = f64::from(info.grid.pyramid().finest().0);
@@ -72,12 +130,14 @@ impl Surface {
             };
             let quality = info.grid.quality(position);
             let (coverage, value) = (found.coverage, found.value);
-            let (priority, weight, coverage_bound) = (info.priority, 1.0, 0.0);
+            let (priority, weight, series) = (part.priority, part.weight, part.series);
+            let coverage_bound = 0.0;
             layers.push(Layer {
                 priority,
                 quality,
                 coverage,
                 weight,
+                series,
                 value,
                 bound,
                 coverage_bound,
@@ -87,7 +147,8 @@ impl Surface {
         let composed = compose(&layers)?;
         let shares = composed.shares.iter().zip(&levels);
         let (_, &level) = shares.max_by(|(a, _), (b, _)| a.total_cmp(b))?;
-        Some(SurfacePoint { value: composed.value, bound: composed.bound, level })
+        let (value, bound, opacity) = (composed.value, composed.bound, composed.opacity);
+        Some(SurfacePoint { value, bound, level, opacity })
     }
 
     /// The blend of the two levels about `wanted`, with its bound and the level it comes from.
@@ -158,6 +219,12 @@ impl Surface {
         self.pages.get(&(dataset, PageKey::from(page))).map(Arc::as_ref)
     }
 
+    /// Whether a dataset takes part in a plane.
+    pub(crate) fn shows(&self, dataset: usize, plane: Plane) -> bool {
+        let place = self.present.binary_search_by_key(&dataset, |&(number, _)| number);
+        place.is_ok_and(|place| self.present[place].1.plane == plane)
+    }
+
     /// The pages, in no order.
     pub(crate) fn pages(&self) -> impl Iterator<Item = &Arc<ResidentPage>> {
         self.pages.values()
@@ -171,7 +238,7 @@ impl Surface {
     /// The least and greatest height of the finest texels, or of the reference surface.
     pub(crate) fn height_range_m(&self) -> (f64, f64) {
         let heights = self.pages.values().filter(|page| {
-            self.datasets[page.dataset].kind == Kind::Height && page.entry.lowest.is_finite()
+            self.shows(page.dataset, Plane::Heights) && page.entry.lowest.is_finite()
         });
         heights.fold((0.0, 0.0), |(low, high), page| {
             (low.min(f64::from(page.entry.lowest)), high.max(f64::from(page.entry.highest)))

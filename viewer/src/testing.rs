@@ -168,6 +168,8 @@ fn window(info: &DatasetInfo, image: &LevelImage, address: PageAddress) -> Optio
     Some(Page::new(pyramid.page_side() as usize, values, coverage))
 }
 
+mod composition;
+
 mod reference;
 
 mod twins;

@@ -20,9 +20,18 @@ pub(crate) struct PageName {
 pub(crate) struct Slots {
     capacity: u32,
     slot_of: HashMap<PageName, u32>,
-    /// By slot: who is there and when it was last used.
-    holders: Vec<(PageName, u64)>,
+    /// By slot.
+    holders: Vec<Holder>,
     turn: u64,
+    seconds: f64,
+}
+
+/// Who is in a slot, when it was last used, and since when it has been, turn after turn.
+#[derive(Clone, Copy, Debug)]
+struct Holder {
+    page: PageName,
+    used: u64,
+    since: f64,
 }
 
 /// Where a page went.
@@ -38,7 +47,7 @@ pub(crate) enum Placed {
 
 impl Slots {
     pub(crate) fn new(capacity: u32) -> Self {
-        Self { capacity, slot_of: HashMap::new(), holders: Vec::new(), turn: 0 }
+        Self { capacity, slot_of: HashMap::new(), holders: Vec::new(), turn: 0, seconds: 0.0 }
     }
 
     /// More slots; those in use stay.
@@ -46,15 +55,25 @@ impl Slots {
         self.capacity = self.capacity.max(capacity);
     }
 
-    /// Starts a turn: pages placed before it may lose their slots.
-    pub(crate) fn next_turn(&mut self) {
+    /// Starts a turn, at a time: pages placed before it may lose their slots.
+    pub(crate) fn next_turn(&mut self, seconds: f64) {
         self.turn += 1;
+        self.seconds = seconds;
+    }
+
+    /// When the page in a slot came into use.
+    pub(crate) fn since(&self, slot: u32) -> f64 {
+        self.holders[slot as usize].since
     }
 
     /// Marks a page that has a slot as used in this turn, and says where it is.
     pub(crate) fn keep(&mut self, page: PageName) -> Option<u32> {
         let slot = *self.slot_of.get(&page)?;
-        self.holders[slot as usize].1 = self.turn;
+        let holder = &mut self.holders[slot as usize];
+        if holder.used + 1 < self.turn {
+            holder.since = self.seconds;
+        }
+        holder.used = self.turn;
         Some(slot)
     }
 
@@ -65,19 +84,23 @@ impl Slots {
         }
         let next = u32::try_from(self.holders.len()).expect("slots are counted in u32");
         if next < self.capacity {
-            self.holders.push((page, self.turn));
+            self.holders.push(self.holder(page));
             self.slot_of.insert(page, next);
             return Placed::New(next);
         }
-        let oldest = self.holders.iter().enumerate().min_by_key(|(_, (_, used))| *used);
-        let Some((slot, &(holder, _))) = oldest.filter(|(_, (_, used))| *used < self.turn) else {
+        let oldest = self.holders.iter().enumerate().min_by_key(|(_, holder)| holder.used);
+        let Some((slot, holder)) = oldest.filter(|(_, holder)| holder.used < self.turn) else {
             return Placed::Full;
         };
-        self.slot_of.remove(&holder);
-        self.holders[slot] = (page, self.turn);
+        self.slot_of.remove(&holder.page);
+        self.holders[slot] = self.holder(page);
         let slot = u32::try_from(slot).expect("slots are counted in u32");
         self.slot_of.insert(page, slot);
         Placed::New(slot)
+    }
+
+    fn holder(&self, page: PageName) -> Holder {
+        Holder { page, used: self.turn, since: self.seconds }
     }
 }
 
@@ -92,14 +115,32 @@ mod tests {
     #[test]
     fn the_least_recently_used_page_makes_room() {
         let mut slots = Slots::new(2);
-        slots.next_turn();
+        slots.next_turn(0.0);
         assert_eq!(slots.place(name(1)), Placed::New(0));
         assert_eq!(slots.place(name(2)), Placed::New(1));
         assert_eq!(slots.place(name(3)), Placed::Full);
-        slots.next_turn();
+        slots.next_turn(0.0);
         assert_eq!(slots.place(name(1)), Placed::Resident(0));
         assert_eq!(slots.place(name(3)), Placed::New(1));
         assert_eq!(slots.keep(name(2)), None);
         assert_eq!(slots.place(name(2)), Placed::Full);
+    }
+
+    #[test]
+    fn a_page_that_comes_back_comes_anew() {
+        let mut slots = Slots::new(2);
+        for (seconds, is_used, since) in [
+            (1.0, true, 1.0),
+            (2.0, true, 1.0),
+            (3.0, false, 1.0),
+            (4.0, true, 4.0),
+            (5.0, true, 4.0),
+        ] {
+            slots.next_turn(seconds);
+            if is_used {
+                slots.place(name(1));
+            }
+            assert_eq!(slots.since(0), since, "{seconds}");
+        }
     }
 }

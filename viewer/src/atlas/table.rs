@@ -17,6 +17,10 @@ const MOST_ENTRIES: u64 = 1 << 20;
 const HOLDS: u32 = 1 << 31;
 const WHOLE: u32 = 1 << 30;
 const LEVEL_SHIFT: u32 = 16;
+const PRESENCE_SHIFT: u32 = 24;
+
+/// The presence of a page that shows wholly.
+pub(crate) const PRESENT: u8 = 63;
 
 /// A page that lies in the atlas.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,6 +29,8 @@ pub(crate) struct Shown {
     pub(crate) slot: u32,
     /// Whether every texel is fully covered.
     pub(crate) whole: bool,
+    /// Up to [`PRESENT`]: how far it shows, and not what was there before it.
+    pub(crate) presence: u8,
 }
 
 /// Writes the windows of one dataset and says where they start.
@@ -61,7 +67,8 @@ pub(crate) fn append(table: &mut Vec<i32>, pyramid: &Pyramid, shown: &[Shown]) -
 
 fn entry(shown: &Shown) -> u32 {
     let whole = if shown.whole { WHOLE } else { 0 };
-    HOLDS | whole | u32::from(shown.page.level.0) << LEVEL_SHIFT | shown.slot
+    let presence = u32::from(shown.presence.min(PRESENT)) << PRESENCE_SHIFT;
+    HOLDS | whole | presence | u32::from(shown.page.level.0) << LEVEL_SHIFT | shown.slot
 }
 
 fn narrow(count: u32) -> i32 {
@@ -149,7 +156,12 @@ mod tests {
         let pyramid = globe();
         let level = pyramid.finest();
         let cols = pyramid.pages(level).unwrap().1;
-        let at = |row, col| Shown { page: PageAddress::new(level, row, col), slot: 0, whole: true };
+        let at = |row, col| Shown {
+            page: PageAddress::new(level, row, col),
+            slot: 0,
+            whole: true,
+            presence: PRESENT,
+        };
         let window = Window::about(&pyramid, level, &[at(3, 0), at(4, cols - 1), at(3, 2)]);
         assert_eq!(window, Window { row: 3, col: cols - 1, rows: 2, cols: 4 });
     }
@@ -170,7 +182,7 @@ mod tests {
             pages.sort();
             pages.dedup();
             let shown: Vec<Shown> = (0..).zip(&pages)
-                .map(|(slot, &page)| Shown { page, slot, whole: slot % 2 == 0 })
+                .map(|(slot, &page)| Shown { page, slot, whole: slot % 2 == 0, presence: 7 })
                 .collect();
             let mut table = vec![7; 3];
             let first = append(&mut table, &pyramid, &shown);

@@ -22,6 +22,8 @@ const HEIGHTS: [Plane; 2] = [
 ];
 const COLORS: [Plane; 1] =
     [Plane { label: "colors", format: wgpu::TextureFormat::Rgba8Unorm, bytes_per_texel: 4 }];
+const NORMALS: [Plane; 1] =
+    [Plane { label: "normals", format: wgpu::TextureFormat::Rgba8Unorm, bytes_per_texel: 4 }];
 
 /// The pages of one kind on the GPU.
 #[derive(Debug)]
@@ -39,7 +41,11 @@ pub(crate) struct Atlas {
 impl Atlas {
     /// An atlas for pages of up to `side` texels, in at most `budget_bytes`.
     pub(crate) fn new(gpu: &Gpu, kind: Kind, side: u32, budget_bytes: u64) -> Self {
-        let planes: &[Plane] = if kind == Kind::Height { &HEIGHTS } else { &COLORS };
+        let planes: &[Plane] = match kind {
+            Kind::Height => &HEIGHTS,
+            Kind::Color => &COLORS,
+            Kind::Normal => &NORMALS,
+        };
         let texel_bytes: u32 = planes.iter().map(|plane| plane.bytes_per_texel).sum();
         let slot_bytes = u64::from(side) * u64::from(side) * u64::from(texel_bytes);
         let affordable = u32::try_from(budget_bytes / slot_bytes).unwrap_or(u32::MAX);
@@ -65,8 +71,14 @@ impl Atlas {
         self.textures.iter().map(|texture| texture.create_view(&descriptor)).collect()
     }
 
-    pub(crate) fn next_turn(&mut self) {
-        self.slots.next_turn();
+    /// Starts a turn, at a time.
+    pub(crate) fn next_turn(&mut self, seconds: f64) {
+        self.slots.next_turn(seconds);
+    }
+
+    /// When the page in a slot came into use.
+    pub(crate) fn since(&self, slot: u32) -> f64 {
+        self.slots.since(slot)
     }
 
     /// Marks a page as used and says where it is, if it is.

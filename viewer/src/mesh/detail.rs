@@ -23,6 +23,7 @@ use super::sphere::distance_to_triangle;
 use super::tree::Verdict;
 use crate::camera::pixel_angle;
 use crate::map::Cap;
+use crate::style::Plane;
 use crate::surface::Surface;
 
 /// Segments along the side of a patch.
@@ -64,7 +65,7 @@ impl Detail {
         self.caps.extend(
             surface
                 .pages()
-                .filter(|page| datasets[page.dataset].kind == Kind::Height)
+                .filter(|page| surface.shows(page.dataset, Plane::Heights))
                 .map(|page| place_of(&datasets[page.dataset].grid, page.entry.page)),
         );
         let (low, high) = surface.height_range_m();

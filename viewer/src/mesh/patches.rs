@@ -11,8 +11,9 @@ use glam::DVec3;
 use super::detail::{Criterion, Detail};
 use super::frame::{Frame, reference_point};
 use super::tree::{Patch, Tree};
-use crate::map::DatasetMap;
+use crate::map::Maps;
 use crate::mirror;
+use crate::style::Plane;
 use crate::surface::Surface;
 
 const NONE: u32 = u32::MAX;
@@ -44,7 +45,7 @@ impl Mesh {
         ellipsoid: Ellipsoid,
         surface: &Surface,
         detail: &mut Detail,
-        maps: &[DatasetMap],
+        maps: &Maps,
     ) {
         let criterion = Criterion::new(view, ellipsoid, detail);
         let mut tree = std::mem::take(&mut self.tree);
@@ -68,9 +69,15 @@ impl Mesh {
         self.mirrored_frames.clear();
         self.anchors.clear();
         for frame in &self.frames {
-            self.mirrored_frames.push(frame.seen_from(view.eye));
-            let anchors = maps.iter().map(|map| map.anchor(&frame.axes, frame.reach + SLOPE_REACH));
-            self.anchors.extend(anchors);
+            let mut lists = [count(self.anchors.len()); 5];
+            for plane in Plane::ALL {
+                for (dataset, map) in maps.of_plane(plane) {
+                    let reach = frame.reach + SLOPE_REACH;
+                    self.anchors.extend(map.anchor(dataset, &frame.axes, reach));
+                }
+                lists[plane as usize + 1] = count(self.anchors.len());
+            }
+            self.mirrored_frames.push(mirror::Frame { lists, ..frame.seen_from(view.eye) });
         }
     }
 

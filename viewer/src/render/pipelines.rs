@@ -35,13 +35,15 @@ impl Pipelines {
             min_binding_size: None,
         };
         let read = storage(true);
-        let scene_layout = layout(gpu, "scene", &[uniform, read, read, read, read, read, read]);
+        let scene_layout =
+            layout(gpu, "scene", &[uniform, read, read, read, read, read, read, uniform]);
         let atlas_layout = layout(
             gpu,
             "atlases",
             &[
                 texture(wgpu::TextureSampleType::Float { filterable: false }, true),
                 texture(wgpu::TextureSampleType::Uint, true),
+                texture(wgpu::TextureSampleType::Float { filterable: false }, true),
                 texture(wgpu::TextureSampleType::Float { filterable: false }, true),
             ],
         );

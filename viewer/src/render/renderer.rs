@@ -10,19 +10,23 @@ use areoid_cache::{Selection, View};
 use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::geographic_from_normal;
 use areoid_formats::page::Kind;
+use areoid_formats::units::{Degrees, Radians};
+use bytemuck::Zeroable;
 use glam::DVec3;
 
 use super::aovs::Aovs;
 use super::buffers::Growing;
 use super::pipelines::Pipelines;
-use super::resident::{Brought, Resident};
+use super::resident::{Brought, Clock, Resident};
 use super::targets::{Targets, read_buffer, read_texture};
+use crate::atmosphere::{Air, Atmosphere};
 use crate::camera::pixel_angle;
 use crate::gpu::Gpu;
 use crate::mesh::detail::{Detail, SEGMENTS};
 use crate::mesh::patches::Mesh;
 use crate::mirror;
-use crate::surface::Surface;
+use crate::style::{Ramp, Style};
+use crate::surface::{BARE_COLOR, Surface};
 
 /// Where light comes from.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,7 +38,7 @@ pub struct Light {
 }
 
 /// How to draw.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// Factor on heights: 1 is true to scale.
     pub vertical_exaggeration: f64,
@@ -42,11 +46,48 @@ pub struct Options {
     pub background: [u8; 3],
     /// Bytes of pages that one frame may write to the GPU.
     pub upload_limit_bytes: u64,
+    /// How the datasets take part.
+    pub style: Style,
+    /// The air, if it shows.
+    pub atmosphere: Option<Atmosphere>,
+    /// Light from one direction of the map everywhere, instead of the sun's.
+    pub relief: Option<Relief>,
+    /// Factor on light.
+    pub exposure: f64,
+    /// The time of the frame, since any moment.
+    pub seconds: f64,
+    /// How long a page that has come takes to show wholly; at 0 it does at once.
+    pub fade_seconds: f64,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { vertical_exaggeration: 1.0, background: [0; 3], upload_limit_bytes: u64::MAX }
+        Self {
+            vertical_exaggeration: 1.0,
+            background: [0; 3],
+            upload_limit_bytes: u64::MAX,
+            style: Style::default(),
+            atmosphere: None,
+            relief: None,
+            exposure: 1.0,
+            seconds: 0.0,
+            fade_seconds: 0.0,
+        }
+    }
+}
+
+/// The light of shaded relief: on maps from the northwest, halfway up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Relief {
+    /// Where it comes from, clockwise from north.
+    pub azimuth: Radians,
+    /// Above the horizon.
+    pub elevation: Radians,
+}
+
+impl Default for Relief {
+    fn default() -> Self {
+        Self { azimuth: Degrees(315.0).into(), elevation: Degrees(45.0).into() }
     }
 }
 
@@ -72,6 +113,10 @@ pub struct FrameStatistics {
     pub uploaded_pages: usize,
     /// Pages put off to the next frame: draw again.
     pub pending_pages: usize,
+    /// Pages that do not show wholly yet: draw again.
+    pub coming_pages: usize,
+    /// Whether nothing was drawn, because the picture is that of the frame before.
+    pub is_same: bool,
     /// Pages for which the atlas has no room.
     pub left_out_pages: usize,
 }
@@ -94,7 +139,10 @@ pub struct Renderer {
     surface: Surface,
     /// What `surface` was made of.
     known: Option<Known>,
+    /// What the last picture was made with.
+    shown: Option<(View, Light, Options)>,
     scene: wgpu::Buffer,
+    air: wgpu::Buffer,
     storages: Storages,
     scene_group: Option<wgpu::BindGroup>,
     atlas_group: Option<wgpu::BindGroup>,
@@ -105,12 +153,14 @@ pub struct Renderer {
 }
 
 /// A state of pages: the same twice means that nothing has to be brought.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 struct Known {
     generation: u64,
+    scene: u64,
     pages: usize,
     exaggeration: f64,
-    pending: bool,
+    style: Style,
+    brought: Brought,
 }
 
 #[derive(Debug)]
@@ -142,12 +192,9 @@ impl Renderer {
             detail: Detail::default(),
             surface: Surface::default(),
             known: None,
-            scene: gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("scene"),
-                size: size_of::<mirror::Scene>() as u64,
-                usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            }),
+            shown: None,
+            scene: uniform(gpu, "scene", size_of::<mirror::Scene>()),
+            air: uniform(gpu, "air", size_of::<mirror::Atmosphere>()),
             storages: Storages {
                 frames: Growing::new(gpu, "frames"),
                 datasets: Growing::new(gpu, "datasets"),
@@ -167,7 +214,7 @@ impl Renderer {
         }
     }
 
-    /// Draws `view` into the picture.
+    /// Draws `view` into the picture, unless it is there already.
     pub fn render(
         &mut self,
         view: &View,
@@ -176,19 +223,29 @@ impl Renderer {
         options: &Options,
     ) -> FrameStatistics {
         let brought = self.follow(selection, options);
+        let mut statistics = FrameStatistics {
+            patches: self.mesh.patches.len(),
+            triangles: self.mesh.patches.len() * (SEGMENTS * SEGMENTS) as usize,
+            uploaded_pages: brought.map_or(0, |brought| brought.uploaded),
+            pending_pages: brought.map_or(0, |brought| brought.put_off),
+            coming_pages: brought.map_or(0, |brought| brought.coming),
+            left_out_pages: self.known.as_ref().map_or(0, |known| known.brought.left_out),
+            is_same: false,
+        };
+        let timeless = Options { seconds: 0.0, ..options.clone() };
+        let shown = Some((*view, *light, timeless));
+        if brought.is_none() && self.shown == shown {
+            return FrameStatistics { is_same: true, ..statistics };
+        }
+        self.shown = shown;
         let maps = &self.resident.maps;
         self.mesh.build(view, self.ellipsoid, &self.surface, &mut self.detail, maps);
         self.write_scene(view, light, options);
         self.draw(view);
         self.drawn = Some(*view);
-        let patches = self.mesh.patches.len();
-        FrameStatistics {
-            patches,
-            triangles: patches * (SEGMENTS * SEGMENTS) as usize,
-            uploaded_pages: brought.uploaded,
-            pending_pages: brought.put_off,
-            left_out_pages: brought.left_out,
-        }
+        statistics.patches = self.mesh.patches.len();
+        statistics.triangles = statistics.patches * (SEGMENTS * SEGMENTS) as usize;
+        statistics
     }
 
     /// The picture drawn last. Waits for the GPU.
@@ -231,24 +288,25 @@ impl Renderer {
         self.targets.as_ref().map(|targets| &targets.picture)
     }
 
-    /// Brings what is new of a selection to the GPU.
-    fn follow(&mut self, selection: &Selection, options: &Options) -> Brought {
-        let known = Known {
-            generation: selection.generation,
-            pages: selection.pages.len(),
-            exaggeration: options.vertical_exaggeration,
-            pending: false,
+    /// Brings what is new of a selection to the GPU; `None` if nothing is.
+    fn follow(&mut self, selection: &Selection, options: &Options) -> Option<Brought> {
+        let is_done = |known: &Known| {
+            known.generation == selection.generation
+                && known.scene == selection.scene
+                && known.pages == selection.pages.len()
+                && known.exaggeration == options.vertical_exaggeration
+                && known.style == options.style
+                && (known.brought.put_off, known.brought.coming) == (0, 0)
         };
-        if self.known == Some(known) {
-            return Brought::default();
+        if self.known.as_ref().is_some_and(is_done) {
+            return None;
         }
         let gpu = &self.gpu;
-        let layers = (self.resident.heights.layers(), self.resident.colors.layers());
-        let sides = (self.resident.heights.side(), self.resident.colors.side());
-        let brought = self.resident.bring(gpu, selection, options.upload_limit_bytes);
-        if layers != (self.resident.heights.layers(), self.resident.colors.layers())
-            || sides != (self.resident.heights.side(), self.resident.colors.side())
-        {
+        let sizes = self.resident.sizes();
+        let clock = Clock { seconds: options.seconds, fade_seconds: options.fade_seconds };
+        let limit_bytes = options.upload_limit_bytes;
+        let brought = self.resident.bring(gpu, selection, &options.style, clock, limit_bytes);
+        if sizes != self.resident.sizes() {
             self.atlas_group = None;
         }
         let grown = self.storages.table.write(gpu, &self.resident.table)
@@ -256,11 +314,18 @@ impl Renderer {
         if grown {
             self.scene_group = None;
         }
-        self.surface = Surface::new(selection);
+        self.surface = Surface::styled(selection, &options.style);
         self.detail.renew(&self.surface, options.vertical_exaggeration);
         self.exaggeration = options.vertical_exaggeration;
-        self.known = Some(Known { pending: brought.put_off > 0, ..known });
-        brought
+        self.known = Some(Known {
+            generation: selection.generation,
+            scene: selection.scene,
+            pages: selection.pages.len(),
+            exaggeration: options.vertical_exaggeration,
+            style: options.style.clone(),
+            brought,
+        });
+        Some(brought)
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "angles, factors and the body's radius")]
@@ -270,6 +335,7 @@ impl Renderer {
         let clearance_m = view.eye.length() - self.ellipsoid.a().0 - self.detail.highest_m();
         let aspect = f64::from(view.viewport[0]) / f64::from(view.viewport[1]);
         let axis = |axis: DVec3| axis.as_vec3().to_array();
+        let (ramp, ramp_stops) = mirrored_ramp(options.style.ramp.as_ref());
         let scene = mirror::Scene {
             right: axis(view.orientation.x_axis),
             focal_x: (1.0 / (tangent * aspect)) as f32,
@@ -284,13 +350,26 @@ impl Renderer {
             viewport: view.viewport,
             equatorial_radius: self.ellipsoid.a().0 as f32,
             eccentricity2: self.ellipsoid.eccentricity_squared() as f32,
+            bare: BARE_COLOR.map(|code| (code / 255.0) as f32),
             pixel_angle: pixel_angle(view) as f32,
-            heights: self.resident.height_count,
-            datasets: self.resident.maps.len() as u32,
+            ramp,
+            ramp_stops,
+            ramp_opacity: options.style.ramp.as_ref().map_or(0.0, |ramp| ramp.opacity as f32),
             lod_bias: 0.0,
+            exposure: options.exposure as f32,
+            relief: options.relief.map_or([0.0; 3], |relief| {
+                let (sin_azimuth, cos_azimuth) = relief.azimuth.0.sin_cos();
+                let (up, across) = relief.elevation.0.sin_cos();
+                axis(DVec3::new(sin_azimuth * across, cos_azimuth * across, up))
+            }),
+            _pad: 0,
         };
         let gpu = &self.gpu;
         gpu.queue.write_buffer(&self.scene, 0, bytemuck::bytes_of(&scene));
+        let sun = light.toward_sun.normalize();
+        let air = options.atmosphere.map(|air| Air::new(&self.ellipsoid, air, view.eye, sun));
+        let air = air.map_or_else(mirror::Atmosphere::zeroed, |air| air.mirrored());
+        gpu.queue.write_buffer(&self.air, 0, bytemuck::bytes_of(&air));
         let grown = self.storages.frames.write(gpu, &self.mesh.mirrored_frames)
             | self.storages.anchors.write(gpu, &self.mesh.anchors)
             | self.storages.edges.write(gpu, &self.mesh.edges)
@@ -305,15 +384,15 @@ impl Renderer {
                 storages.table.binding(),
                 storages.edges.binding(),
                 storages.patches.binding(),
+                self.air.as_entire_binding(),
             ];
             let layout = &self.pipelines.scene_layout;
             self.scene_group = Some(bind(gpu, "scene", layout, bindings));
         }
         if self.atlas_group.is_none() {
-            let [heights, coverage] =
-                self.resident.heights.views().try_into().expect("heights have two planes");
-            let [colors] = self.resident.colors.views().try_into().expect("colors have one plane");
-            let bindings = [&heights, &coverage, &colors].map(wgpu::BindingResource::TextureView);
+            let views: [_; 4] =
+                self.resident.views().try_into().expect("the atlases have four planes");
+            let bindings = views.each_ref().map(wgpu::BindingResource::TextureView);
             self.atlas_group = Some(bind(gpu, "atlases", &self.pipelines.atlas_layout, bindings));
         }
         if self.targets.as_ref().is_none_or(|targets| targets.viewport != view.viewport) {
@@ -408,6 +487,27 @@ impl Renderer {
         }
         gpu.queue.submit([encoder.finish()]);
     }
+}
+
+/// Colors and heights of a ramp, and how many there are.
+#[expect(clippy::cast_possible_truncation, reason = "a ramp has at most 16 stops")]
+fn mirrored_ramp(ramp: Option<&Ramp>) -> ([[f32; 4]; Ramp::MOST_STOPS], u32) {
+    let mut mirrored = [[0.0; 4]; Ramp::MOST_STOPS];
+    let stops = ramp.map_or(&[][..], |ramp| &ramp.stops);
+    for (to, stop) in mirrored.iter_mut().zip(stops) {
+        let [red, green, blue] = stop.color.map(|code| f32::from(code) / 255.0);
+        *to = [red, green, blue, stop.height_m];
+    }
+    (mirrored, stops.len().min(Ramp::MOST_STOPS) as u32)
+}
+
+fn uniform(gpu: &Gpu, label: &str, bytes: usize) -> wgpu::Buffer {
+    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(label),
+        size: bytes as u64,
+        usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
 }
 
 fn attachment(view: &wgpu::TextureView) -> wgpu::RenderPassColorAttachment<'_> {

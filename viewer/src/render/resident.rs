@@ -6,28 +6,49 @@ use areoid_formats::archive::Payload;
 use areoid_formats::page::Kind;
 
 use crate::atlas::slots::PageName;
-use crate::atlas::table::{self, Shown};
+use crate::atlas::table::{self, PRESENT, Shown};
 use crate::atlas::texture::Atlas;
 use crate::gpu::Gpu;
-use crate::map::DatasetMap;
+use crate::map::Maps;
 use crate::mirror;
+use crate::style::{Part, Style};
+
+/// The time of a frame, in seconds since any moment.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Clock {
+    pub(crate) seconds: f64,
+    /// How long a page takes to show wholly.
+    pub(crate) fade_seconds: f64,
+}
+
+impl Clock {
+    /// How far a page shows that came at `since`.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
+    fn presence(&self, since: f64) -> u8 {
+        let share = (self.seconds - since) / self.fade_seconds;
+        if self.fade_seconds > 0.0 {
+            (share * f64::from(PRESENT)).clamp(0.0, f64::from(PRESENT)) as u8
+        } else {
+            PRESENT
+        }
+    }
+}
 
 /// What of a selection is on the GPU.
 #[derive(Debug)]
 pub(crate) struct Resident {
-    pub(crate) heights: Atlas,
-    pub(crate) colors: Atlas,
+    /// Of heights, colors and normals.
+    atlases: [Atlas; 3],
     budget_bytes: u64,
     datasets: Option<Datasets>,
-    /// Places in `datasets`: heights first, each kind from the highest priority down.
-    order: Vec<usize>,
-    /// By place in `order`.
-    pub(crate) maps: Vec<DatasetMap>,
-    pub(crate) height_count: u32,
+    style: Style,
+    /// Datasets that take part, as places in `datasets`, sorted like `maps`.
+    order: Vec<(usize, Part)>,
+    pub(crate) maps: Maps,
     pub(crate) mirrored: Vec<mirror::Dataset>,
     pub(crate) table: Vec<i32>,
-    /// By place in `datasets`.
-    shown: Vec<Vec<Shown>>,
+    /// By place in `datasets`; none for those that do not take part.
+    shown: Vec<Option<Vec<Shown>>>,
 }
 
 /// What [`Resident::bring`] did.
@@ -39,48 +60,63 @@ pub(crate) struct Brought {
     pub(crate) put_off: usize,
     /// Pages without a slot: their ancestors stand in.
     pub(crate) left_out: usize,
+    /// Pages that do not show wholly yet.
+    pub(crate) coming: usize,
 }
 
 impl Resident {
     pub(crate) fn new(gpu: &Gpu, budget_bytes: u64) -> Self {
+        let kinds = [Kind::Height, Kind::Color, Kind::Normal];
         Self {
-            heights: Atlas::new(gpu, Kind::Height, 8, budget_bytes),
-            colors: Atlas::new(gpu, Kind::Color, 8, budget_bytes),
+            atlases: kinds.map(|kind| Atlas::new(gpu, kind, 8, budget_bytes)),
             budget_bytes,
             datasets: None,
+            style: Style::default(),
             order: Vec::new(),
-            maps: Vec::new(),
-            height_count: 0,
+            maps: Maps::default(),
             mirrored: Vec::new(),
             table: Vec::new(),
             shown: Vec::new(),
         }
     }
 
+    /// The textures in the order of their bindings. They change where [`Self::sizes`] does.
+    pub(crate) fn views(&self) -> Vec<wgpu::TextureView> {
+        self.atlases.iter().flat_map(Atlas::views).collect()
+    }
+
+    /// Sides and layers of the atlases.
+    pub(crate) fn sizes(&self) -> [(u32, u32); 3] {
+        [0, 1, 2].map(|i| (self.atlases[i].side(), self.atlases[i].layers()))
+    }
+
     /// Writes what is new of a selection, at most `limit_bytes` of it, and the table anew.
-    pub(crate) fn bring(&mut self, gpu: &Gpu, selection: &Selection, limit_bytes: u64) -> Brought {
-        self.follow_datasets(gpu, selection);
-        self.heights.next_turn();
-        self.colors.next_turn();
-        self.shown.iter_mut().for_each(Vec::clear);
+    pub(crate) fn bring(
+        &mut self,
+        gpu: &Gpu,
+        selection: &Selection,
+        style: &Style,
+        clock: Clock,
+        limit_bytes: u64,
+    ) -> Brought {
+        self.follow_datasets(gpu, selection, style);
+        for atlas in &mut self.atlases {
+            atlas.next_turn(clock.seconds);
+        }
+        self.shown.iter_mut().flatten().for_each(Vec::clear);
 
         let mut brought = Brought::default();
         let mut left_bytes = limit_bytes;
         // First what is there, so that no new page takes its place.
         for page in &selection.pages {
-            let name = name_of(page);
-            match selection.datasets[page.dataset].kind {
-                Kind::Height => self.heights.keep(name),
-                _ => self.colors.keep(name),
-            };
+            self.atlases[atlas_of(selection, page)].keep(name_of(page));
         }
         for page in &selection.pages {
+            let place = selection.datasets.place(page.dataset);
+            let place = place.expect("a page's dataset stands beside it");
+            let Some(shown) = &mut self.shown[place] else { continue };
+            let atlas = &mut self.atlases[atlas_of(selection, page)];
             let name = name_of(page);
-            let atlas = match selection.datasets[page.dataset].kind {
-                Kind::Height => &mut self.heights,
-                Kind::Color => &mut self.colors,
-                Kind::Normal => continue,
-            };
             let resident = atlas.keep(name);
             let bytes = page.page.bytes() as u64;
             let slot = if resident.is_some() {
@@ -98,51 +134,64 @@ impl Resident {
                 continue;
             };
             let whole = page.page.coverage().is_none();
-            let place = selection.datasets.place(page.dataset);
-            let place = place.expect("a page's dataset stands beside it");
-            self.shown[place].push(Shown { page: page.entry.page, slot, whole });
+            let presence = clock.presence(atlas.since(slot));
+            brought.coming += usize::from(presence < PRESENT);
+            shown.push(Shown { page: page.entry.page, slot, whole, presence });
         }
         self.write_table(selection);
         brought
     }
 
     /// Sorts the datasets and fits the atlases to their pages.
-    fn follow_datasets(&mut self, gpu: &Gpu, selection: &Selection) {
-        if self.datasets.as_ref().is_some_and(|known| known.is(&selection.datasets)) {
+    fn follow_datasets(&mut self, gpu: &Gpu, selection: &Selection, style: &Style) {
+        let is_known = self.datasets.as_ref().is_some_and(|known| known.is(&selection.datasets));
+        if is_known && self.style == *style {
             return;
         }
         let datasets: Vec<_> = selection.datasets.iter().map(|(_, info)| info).collect();
-        let side_of = |kind| {
+        for (atlas, kind) in self.atlases.iter_mut().zip([Kind::Height, Kind::Color, Kind::Normal])
+        {
             let sides = datasets.iter().filter(|info| info.kind == kind);
-            sides.map(|info| info.grid.pyramid().page_side()).max().unwrap_or(8)
-        };
-        for (atlas, kind) in [(&mut self.heights, Kind::Height), (&mut self.colors, Kind::Color)] {
-            if atlas.side() < side_of(kind) {
-                *atlas = Atlas::new(gpu, kind, side_of(kind), self.budget_bytes);
+            let side = sides.map(|info| info.grid.pyramid().page_side()).max().unwrap_or(8);
+            if atlas.side() < side {
+                *atlas = Atlas::new(gpu, kind, side, self.budget_bytes);
             }
         }
-        self.order = (0..datasets.len()).filter(|&i| datasets[i].kind != Kind::Normal).collect();
-        self.order.sort_by_key(|&i| {
-            (datasets[i].kind == Kind::Color, std::cmp::Reverse(datasets[i].priority))
-        });
-        self.maps = self.order.iter().map(|&i| DatasetMap::new(datasets[i])).collect();
-        let heights = self.order.iter().filter(|&&i| datasets[i].kind == Kind::Height).count();
-        self.height_count = u32::try_from(heights).expect("a catalog has fewer datasets than 2^32");
+        let part =
+            |info: &areoid_cache::DatasetInfo| style.part(&info.name, info.kind, info.priority);
+        let parts = datasets.iter().map(|info| part(info)).enumerate();
+        self.order = parts.filter(|(_, part)| part.weight > 0.0).collect();
+        self.order
+            .sort_by_key(|(_, part)| (part.plane, std::cmp::Reverse(part.priority), part.series));
+        self.maps = Maps::new(self.order.iter().map(|&(place, part)| (datasets[place], part)));
         self.shown.clear();
-        self.shown.resize_with(datasets.len(), Vec::new);
+        self.shown.resize_with(datasets.len(), || None);
+        for &(place, _) in &self.order {
+            self.shown[place] = Some(Vec::new());
+        }
         self.datasets = Some(selection.datasets.clone());
+        self.style.clone_from(style);
     }
 
     fn write_table(&mut self, selection: &Selection) {
         self.table.clear();
         self.mirrored.clear();
         let infos: Vec<_> = selection.datasets.iter().map(|(_, info)| info).collect();
-        for (&dataset, map) in self.order.iter().zip(&self.maps) {
-            let info = infos[dataset];
-            let first = table::append(&mut self.table, info.grid.pyramid(), &self.shown[dataset]);
+        for ((dataset, part), map) in self.order.iter().zip(self.maps.iter()) {
+            let shown = self.shown[*dataset].as_deref().unwrap_or_default();
+            let first = table::append(&mut self.table, infos[*dataset].grid.pyramid(), shown);
             let first = i32::try_from(first).expect("a table is far smaller than 2^31");
-            self.mirrored.push(map.mirrored(first, info.priority));
+            self.mirrored.push(map.mirrored(first, part));
         }
+    }
+}
+
+/// Which atlas a page lies in.
+fn atlas_of(selection: &Selection, page: &ResidentPage) -> usize {
+    match selection.datasets[page.dataset].kind {
+        Kind::Height => 0,
+        Kind::Color => 1,
+        Kind::Normal => 2,
     }
 }
 

@@ -1,12 +1,18 @@
 // compose.wgsl - one value from the values of several datasets.
 //
-// Datasets stand in order, highest priority first. Those of one priority are averaged by q·c, and
-// the priorities laid over one another, front to back, each with the opacity by which its datasets
-// together cover the place, 1 - Π (1 - c).
+// Heights, colors, luminances and normals are composed each for itself. Datasets stand in order,
+// highest priority first. Those of one priority are averaged by q·c·u, and the priorities laid over
+// one another, front to back, each with the opacity by which its datasets together cover the place,
+// 1 - Π (1 - c·u); the members of a series count as one dataset, of Σ c·u.
 //
 // Units      footprint in ground meters to a sample: it chooses the levels, between two of which
-//            values are blended
+//            values are blended; colors sRGB 0 to 1; normals as codes, 0 to 1
 // Twin       surface.rs, areoid_formats::compose
+
+const HEIGHTS: u32 = 0u;
+const COLORS: u32 = 1u;
+const LUMINANCES: u32 = 2u;
+const NORMALS: u32 = 3u;
 
 struct Composed {
     value: vec3f,
@@ -14,38 +20,82 @@ struct Composed {
     level: f32,
     // Ground meters to a texel of that level.
     texel_m: f32,
+    // How far the user's weights let it cover what there is without it.
+    opacity: f32,
 }
 
 // A dataset's answer.
 struct Answer {
     texel: Texel,
     level: f32,
+    // Of the finest page that has to do with it.
+    finest: i32,
 }
 
-fn read_page(dataset: Dataset, point: MapPoint, level: i32, base: f32, color: bool) -> Answer {
-    let found = find_page(dataset, point, level);
-    if found.entry == 0u {
-        return Answer(Texel(vec3f(0.0), 0.0), 0.0);
+fn read_found(found: Found, base: f32, plane: u32) -> Texel {
+    if plane == HEIGHTS {
+        return read_height(found, base);
     }
-    if color {
-        return Answer(read_color(found), f32(entry_level(found.entry)));
+    if plane == NORMALS {
+        return read_normal(found);
     }
-    return Answer(read_height(found, base), f32(entry_level(found.entry)));
+    return read_color(found);
 }
 
-fn read_levels(dataset: Dataset, point: MapPoint, wanted: f32, base: f32, color: bool) -> Answer {
+fn blend_texels(a: Texel, b: Texel, t: f32) -> Texel {
+    return Texel(a.value + (b.value - a.value) * t, a.coverage + (b.coverage - a.coverage) * t);
+}
+
+// The value of a level, and the level it comes from. A page that has just come shows in part; what
+// stood in for it, and for that, shows for the rest.
+fn read_page(dataset: Dataset, point: MapPoint, level: i32, base: f32, plane: u32) -> Answer {
+    var found = find_page(dataset, point, level);
+    var sum = Texel(vec3f(0.0), 0.0);
+    var levels = 0.0;
+    var weight = 0.0;
+    var rest = 1.0;
+    let finest = entry_level(found.entry);
+    while found.entry != 0u {
+        let own = entry_level(found.entry);
+        let presence = entry_presence(found.entry);
+        let before = select(own - 1, -1, presence >= 1.0);
+        var next = Found(0u, vec2i(0), vec2f(0.0));
+        if before >= 0 {
+            next = find_page(dataset, point, before);
+            if next.entry != 0u && entry_level(next.entry) >= own {
+                next.entry = 0u;
+            }
+        }
+        let texel = read_found(found, base, plane);
+        if texel.coverage > 0.0 {
+            // Where nothing stood in for it, it shows for all that is left.
+            let share = select(rest * presence, rest, next.entry == 0u);
+            sum.value += share * texel.value;
+            sum.coverage += share * texel.coverage;
+            levels += share * f32(own);
+            weight += share;
+        }
+        rest *= 1.0 - presence;
+        found = next;
+    }
+    if weight == 0.0 {
+        return Answer(Texel(vec3f(0.0), 0.0), 0.0, 0);
+    }
+    return Answer(Texel(sum.value / weight, sum.coverage / weight), levels / weight, finest);
+}
+
+fn read_levels(dataset: Dataset, point: MapPoint, wanted: f32, base: f32, plane: u32) -> Answer {
     let upper = i32(ceil(wanted));
     let toward_coarse = f32(upper) - wanted;
-    var fine = read_page(dataset, point, upper, base, color);
+    var fine = read_page(dataset, point, upper, base, plane);
     // A page of another level than asked stands in for both.
-    let both = fine.texel.coverage > 0.0 && i32(fine.level) != upper;
+    let both = fine.texel.coverage > 0.0 && fine.finest != upper;
     if toward_coarse > 0.0 && !both {
-        let coarse = read_page(dataset, point, upper - 1, base, color);
+        let coarse = read_page(dataset, point, upper - 1, base, plane);
         if fine.texel.coverage == 0.0 {
             fine = coarse;
         } else if coarse.texel.coverage > 0.0 {
-            fine.texel.value += (coarse.texel.value - fine.texel.value) * toward_coarse;
-            fine.texel.coverage += (coarse.texel.coverage - fine.texel.coverage) * toward_coarse;
+            fine.texel = blend_texels(fine.texel, coarse.texel, toward_coarse);
         }
     }
     fine.level = min(fine.level, wanted);
@@ -53,7 +103,7 @@ fn read_levels(dataset: Dataset, point: MapPoint, wanted: f32, base: f32, color:
 }
 
 // Heights are told above the frame's own, and are those of the reference surface where there are none.
-fn compose(frame_index: u32, d: vec3f, footprint_m: f32, color: bool) -> Composed {
+fn compose(frame_index: u32, d: vec3f, footprint_m: f32, plane: u32) -> Composed {
     let base = frames[frame_index].height;
     let r0 = frames[frame_index].north.z;
     let z0 = frames[frame_index].up.z;
@@ -61,62 +111,77 @@ fn compose(frame_index: u32, d: vec3f, footprint_m: f32, color: bool) -> Compose
     let r = sqrt(x * x + d.x * d.x);
     let z = z0 + d.y * r0 + d.z * z0;
 
-    var composed = Composed(vec3f(0.0), -1.0, 0.0);
+    var composed = Composed(vec3f(0.0), -1.0, 0.0, 0.0);
     var largest_share = 0.0;
     var shares = 0.0;
-    var clear = 1.0;
+    // What the priorities so far leave clear; and would, if all weights were 1.
+    var clear = vec2f(1.0);
     // The priority at work: its weight, its weighted sum, its best, what it leaves clear.
     var weight = 0.0;
     var sum = vec3f(0.0);
-    var see_through = 1.0;
+    var see_through = vec2f(1.0);
     var best = vec3f(0.0);
+    // The series at work: Σ c·u and Σ c.
+    var alpha = vec2f(0.0);
 
-    let first = select(0u, scene.heights, color);
-    let last = select(scene.heights, scene.datasets, color);
-    for (var i = first; i < last; i++) {
-        let dataset = dataset_list[i];
-        let anchor = anchors[frame_index * scene.datasets + i];
-        if anchor.texel.x != ABSENT {
-            let point = map_point(dataset, anchor, r0, z0, d);
-            if point.inside {
-                let scales = principal_scales(dataset, r, z);
-                let halvings = max(log2(footprint_m / scales.x) - scene.lod_bias, 0.0);
-                let wanted = max(f32(dataset.levels - 1) - halvings, 0.0);
-                let answer = read_levels(dataset, point, wanted, base, color);
-                if answer.texel.coverage > 0.0 {
-                    let share = quality_of(scales) * answer.texel.coverage;
-                    weight += share;
-                    sum += share * answer.texel.value;
-                    see_through *= 1.0 - answer.texel.coverage;
-                    if share > best.x {
-                        let texel_m = scales.x * exp2(f32(dataset.levels - 1) - answer.level);
-                        best = vec3f(share, answer.level, texel_m);
-                    }
+    let last = frames[frame_index].lists[plane + 1u];
+    for (var i = frames[frame_index].lists[plane]; i < last; i++) {
+        let dataset = dataset_list[anchors[i].dataset];
+        let point = map_point(dataset, anchors[i], r0, z0, d);
+        if point.inside {
+            let scales = principal_scales(dataset, r, z);
+            let halvings = max(log2(footprint_m / scales.x) - scene.lod_bias, 0.0);
+            let wanted = max(f32(dataset.levels - 1) - halvings, 0.0);
+            let answer = read_levels(dataset, point, wanted, base, plane);
+            if answer.texel.coverage > 0.0 {
+                let cover = answer.texel.coverage * dataset.weight;
+                let share = quality_of(scales) * cover;
+                weight += share;
+                sum += share * answer.texel.value;
+                alpha += vec2f(cover, answer.texel.coverage);
+                if share > best.x {
+                    let texel_m = scales.x * exp2(f32(dataset.levels - 1) - answer.level);
+                    best = vec3f(share, answer.level, texel_m);
                 }
             }
         }
-        if weight > 0.0 && (i + 1u == last || dataset_list[i + 1u].priority != dataset.priority) {
-            let opacity = clear * (1.0 - see_through);
-            composed.value += opacity * (sum / weight);
-            shares += opacity;
-            if opacity * best.x / weight > largest_share {
-                largest_share = opacity * best.x / weight;
-                composed.level = best.y;
-                composed.texel_m = best.z;
+        var next_priority = dataset.priority + 1;
+        var next_series = 0u;
+        if i + 1u < last {
+            let next = anchors[i + 1u].dataset;
+            next_priority = dataset_list[next].priority;
+            next_series = dataset_list[next].series;
+        }
+        let is_last = next_priority != dataset.priority;
+        if is_last || dataset.series == 0u || next_series != dataset.series {
+            see_through *= 1.0 - min(alpha, vec2f(1.0));
+            alpha = vec2f(0.0);
+        }
+        if is_last {
+            if weight > 0.0 {
+                let opacity = clear.x * (1.0 - see_through.x);
+                composed.value += opacity * (sum / weight);
+                shares += opacity;
+                if opacity * best.x / weight > largest_share {
+                    largest_share = opacity * best.x / weight;
+                    composed.level = best.y;
+                    composed.texel_m = best.z;
+                }
+                clear *= see_through;
             }
-            clear *= see_through;
             weight = 0.0;
             sum = vec3f(0.0);
-            see_through = 1.0;
+            see_through = vec2f(1.0);
             best = vec3f(0.0);
-            if clear <= 0.0 {
+            if clear.x <= 0.0 {
                 break;
             }
         }
     }
     if shares > 0.0 {
         composed.value /= shares;
-    } else if !color {
+        composed.opacity = min((1.0 - clear.x) / (1.0 - clear.y), 1.0);
+    } else if plane == HEIGHTS {
         composed.value.x = -base;
     }
     return composed;
@@ -124,5 +189,5 @@ fn compose(frame_index: u32, d: vec3f, footprint_m: f32, color: bool) -> Compose
 
 // The composed height above the frame's own, in exaggerated meters.
 fn height_at(frame_index: u32, d: vec3f, footprint_m: f32) -> f32 {
-    return scene.exaggeration * compose(frame_index, d, footprint_m, false).value.x;
+    return scene.exaggeration * compose(frame_index, d, footprint_m, HEIGHTS).value.x;
 }

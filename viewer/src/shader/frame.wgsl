@@ -17,7 +17,8 @@ struct Frame {
     north: vec3f,
     pad1: u32,
     up: vec3f,
-    pad2: u32,
+    // Where the anchors of heights, colors, luminances and normals start, and where the last end.
+    lists: array<u32, 5>,
 }
 
 @group(0) @binding(1) var<storage, read> frames: array<Frame>;

@@ -40,7 +40,10 @@ struct Dataset {
     eccentricity: f32,
     // a and a (1 - e²) of the body over the texels of a unit of the map: ground meters.
     ground: vec2f,
-    pad: vec2u,
+    // The user's, above 0 and at most 1.
+    weight: f32,
+    // Equal for states of one thing, or 0.
+    series: u32,
 }
 
 struct Anchor {
@@ -49,6 +52,11 @@ struct Anchor {
     fraction: vec2f,
     // Texels from differences, row by row.
     matrix: vec4f,
+    // Whose texels they are.
+    dataset: u32,
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
 }
 
 // A place in the finest level.
@@ -60,8 +68,6 @@ struct MapPoint {
 
 @group(0) @binding(2) var<storage, read> dataset_list: array<Dataset>;
 @group(0) @binding(3) var<storage, read> anchors: array<Anchor>;
-
-const ABSENT: i32 = -2147483648;
 
 fn series_atanh(v: f32) -> f32 {
     if abs(v) > 0.1 {

@@ -20,7 +20,7 @@ fn measure(@builtin(global_invocation_id) id: vec3u) {
     let pixel = read_pixel(vec2i(id.xy));
     var found = Measure(0.0, -1.0);
     if pixel.patch_index >= 0 {
-        let height = compose(pixel.place.frame, pixel.place.d, pixel.footprint_m, false);
+        let height = compose(pixel.place.frame, pixel.place.d, pixel.footprint_m, HEIGHTS);
         found = Measure(height.value.x, height.level);
     }
     measures[id.y * scene.viewport.x + id.x] = found;

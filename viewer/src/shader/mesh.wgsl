@@ -119,7 +119,7 @@ fn vertex_of(patch_index: u32, steps: vec2i) -> Vertex {
 
     let frame = frames[place.frame];
     let footprint_m = length(position_at(frame, place.d, 0.0)) * scene.pixel_angle;
-    let composed = compose(place.frame, place.d, footprint_m, false);
+    let composed = compose(place.frame, place.d, footprint_m, HEIGHTS);
     let position = position_at(frame, place.d, scene.exaggeration * composed.value.x);
     return Vertex(clip_from_eye(position), weights, composed.texel_m, patch_index);
 }

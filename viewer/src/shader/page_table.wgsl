@@ -7,13 +7,15 @@
 //   window   row, column, rows, columns, where its entries start
 //   entry    31      30      29    24 23   16 15      0
 //            +-------+-------+-------+-------+---------+
-//            | holds | whole |   0   | level |  slot   |
+//            | holds | whole | shown | level |  slot   |
 //            +-------+-------+-------+-------+---------+
 //
 // An entry names the finest page in memory that covers its place and is not finer than its level:
 // the page itself, or an ancestor. Outside a level's window the coarser levels are asked, and where
 // none of them has a page, the finer ones: a view may need fine pages for their error alone, and
 // show them from so far that coarser ones would do.
+//
+// shown: 63 where the page shows wholly; less, where the coarser one before it still does.
 //
 // Mirrored   atlas/table.rs, which writes it; a test reads it back through this file
 
@@ -34,6 +36,10 @@ struct Found {
 
 fn entry_level(entry: u32) -> i32 {
     return i32((entry >> 16u) & 0xffu);
+}
+
+fn entry_presence(entry: u32) -> f32 {
+    return f32((entry >> 24u) & 0x3fu) / 63.0;
 }
 
 // The size of a level of `halvings` above the finest, rounded up.

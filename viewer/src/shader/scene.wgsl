@@ -26,14 +26,22 @@ struct Scene {
     equatorial_radius: f32,
     // First eccentricity squared.
     eccentricity2: f32,
+    // sRGB, 0 to 1, where no dataset has colors.
+    bare: vec3f,
     // Radians to a pixel at the center.
     pixel_angle: f32,
-    // Datasets of heights; those of colors follow them.
-    heights: u32,
-    // Datasets in all.
-    datasets: u32,
+    // Colors, and the heights in meters that they stand for.
+    ramp: array<vec4f, 16>,
+    // How many of them count: 0 for no ramp.
+    ramp_stops: u32,
+    ramp_opacity: f32,
     // Levels added to what the footprint asks for.
     lod_bias: f32,
+    // Factor on light.
+    exposure: f32,
+    // Toward a light that is the same everywhere on the map: east, north, up. Null for the sun's.
+    relief: vec3f,
+    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> scene: Scene;

@@ -6,13 +6,14 @@
 // Heights are told above a base near them: 21 km in an f32 has steps of 2 mm, a pixel from a meter
 // away; the difference of two of them has none.
 //
-// Units      heights in meters, colors in sRGB codes from 0 to 1
+// Units      heights in meters, colors and normals in codes from 0 to 1
 // Twin       areoid_formats::page::Page::reconstruct
 // Exact      a + (b - a) t, not mix(): drivers expand mix() differently
 
 @group(1) @binding(0) var height_atlas: texture_2d_array<f32>;
 @group(1) @binding(1) var height_coverage: texture_2d_array<u32>;
 @group(1) @binding(2) var color_atlas: texture_2d_array<f32>;
+@group(1) @binding(3) var normal_atlas: texture_2d_array<f32>;
 
 const LEAST_VALID_WEIGHT: f32 = 0.001953125;
 
@@ -72,6 +73,21 @@ fn read_color(found: Found) -> Texel {
         textureLoad(color_atlas, at + vec2i(1, 0), slot, 0),
         textureLoad(color_atlas, at + vec2i(0, 1), slot, 0),
         textureLoad(color_atlas, at + vec2i(1, 1), slot, 0),
+        weights,
+    );
+}
+
+// Codes, 0 to 1: what they mean says areoid_formats::normal.
+fn read_normal(found: Found) -> Texel {
+    let slot = i32(found.entry & 0xffffu);
+    let t = found.t;
+    let at = found.tap;
+    let weights = vec4f((1.0 - t.x) * (1.0 - t.y), t.x * (1.0 - t.y), (1.0 - t.x) * t.y, t.x * t.y);
+    return blend_taps(
+        textureLoad(normal_atlas, at, slot, 0),
+        textureLoad(normal_atlas, at + vec2i(1, 0), slot, 0),
+        textureLoad(normal_atlas, at + vec2i(0, 1), slot, 0),
+        textureLoad(normal_atlas, at + vec2i(1, 1), slot, 0),
         weights,
     );
 }

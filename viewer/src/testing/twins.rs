@@ -16,6 +16,7 @@ use crate::mesh::frame::axes_at;
 use crate::mirror;
 use crate::render::testing::compute;
 use crate::shader::{Program, SURFACE};
+use crate::style::Style;
 
 /// Random numbers of a fixed seed: xorshift.
 struct Random(u64);
@@ -129,6 +130,7 @@ fn places_are_found_to_a_sixteenth_of_a_texel() {
             priority: 0,
         };
         let map = DatasetMap::new(&info);
+        let part = Style::default().part("", Kind::Height, 0);
         let mut random = Random(0x5eed);
         let mut asked = Vec::new();
         let mut anchors = Vec::new();
@@ -150,10 +152,7 @@ fn places_are_found_to_a_sixteenth_of_a_texel() {
             let there = (normal + axes * d.as_dvec3()).normalize();
             let place = geographic_from_normal(there);
             let Some(found) = grid.locate(finest, place) else { continue };
-            let anchor = map.anchor(&axes, 0.5);
-            if anchor.texel[0] == i32::MIN {
-                continue;
-            }
+            let Some(anchor) = map.anchor(0, &axes, 0.5) else { continue };
             let texels = size * body.a().0 / grid.nominal_pixel().0;
             asked.push(Probe {
                 d: d.to_array(),
@@ -171,7 +170,7 @@ fn places_are_found_to_a_sixteenth_of_a_texel() {
         };
         let source = [SURFACE, &[PROBE]].concat().join("\n");
         let answers: Vec<Probe> =
-            compute(gpu(), &source, &scene, &[map.mirrored(0, 0)], &anchors, &asked);
+            compute(gpu(), &source, &scene, &[map.mirrored(0, &part)], &anchors, &asked);
 
         let width = f64::from(grid.pyramid().extent().width);
         let mut worst = 0.0_f64;
@@ -223,7 +222,7 @@ fn all_shaders_are_valid() {
 
 /// Offsets and size of a WGSL structure.
 fn layout_of(name: &str) -> (Vec<(String, usize)>, usize) {
-    let module = naga::front::wgsl::parse_str(&Program::Mesh.source()).unwrap();
+    let module = naga::front::wgsl::parse_str(&Program::Shade.source()).unwrap();
     let (_, found) = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).unwrap();
     let naga::TypeInner::Struct { members, span } = &found.inner else { panic!("{name}") };
     let member = |m: &naga::StructMember| (m.name.clone().unwrap(), m.offset as usize);
@@ -245,12 +244,14 @@ macro_rules! assert_mirrored {
 #[test]
 fn shaders_and_rust_agree_on_structures() {
     assert_mirrored!(Scene: right, focal_x, up, focal_y, backward, near, sun, ambient, background,
-        exaggeration, viewport, equatorial_radius, eccentricity2, pixel_angle, heights, datasets,
-        lod_bias);
-    assert_mirrored!(Frame: origin, height, east, north, up);
+        exaggeration, viewport, equatorial_radius, eccentricity2, bare, pixel_angle, ramp, ramp_stops,
+        ramp_opacity, lod_bias, exposure, relief);
+    assert_mirrored!(Atmosphere: rayleigh, rayleigh_height, mie, mie_height, mie_extinction,
+        asymmetry, eye_up, eye_height, radius, top);
+    assert_mirrored!(Frame: origin, height, east, north, up, lists);
     assert_mirrored!(Dataset: size, interior, levels, first_window, priority, polar, wraps, period,
-        latitude_ratio, hemisphere, eccentricity, ground);
-    assert_mirrored!(Anchor: texel, fraction, matrix);
+        latitude_ratio, hemisphere, eccentricity, ground, weight, series);
+    assert_mirrored!(Anchor: texel, fraction, matrix, dataset);
     assert_mirrored!(Edge: frames, half_chord, direction, distance);
     assert_mirrored!(Patch: corner_a, frame, corner_b, sides, corner_c, distance, edges);
 }
@@ -261,6 +262,6 @@ fn levels_are_counted_alike() {
     let degrees = Crs::new(Projection::Geographic, body);
     let outline = Outline { origin: [0.0, 90.0], pixel_size: [0.25; 2], width: 1440, height: 720 };
     let info = dataset("globe", Kind::Height, degrees, outline, 64, 0);
-    let mirrored = DatasetMap::new(&info).mirrored(0, 0);
+    let mirrored = DatasetMap::new(&info).mirrored(0, &Style::default().part("", Kind::Height, 0));
     assert_eq!(Level(u8::try_from(mirrored.levels - 1).unwrap()), info.grid.pyramid().finest());
 }

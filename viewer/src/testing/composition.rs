@@ -1,0 +1,239 @@
+//! What the shaders compose against the twin on the CPU: colors, ramps, luminances, normals, in any
+//! style; and how pages come into a picture.
+
+use std::sync::OnceLock;
+
+use areoid_cache::{Selection, View};
+use areoid_formats::address::Level;
+use areoid_formats::body::Ellipsoid;
+use areoid_formats::geodesy::{Geographic, surface_normal};
+use areoid_formats::grid::Outline;
+use areoid_formats::normal;
+use areoid_formats::page::Kind;
+use areoid_formats::projection::{Crs, Projection};
+use areoid_formats::units::{Degrees, Meters};
+use glam::DVec3;
+
+use super::{Planet, dataset, gpu};
+use crate::camera::{Pose, pixel_angle};
+use crate::style::{Layer, Ramp, Role, Stop, Style};
+use crate::surface::{BARE_COLOR, Surface};
+use crate::{Image, Light, Options, Renderer};
+
+const SIDE: u32 = 96;
+/// Light from everywhere: the ground's own colors.
+const UNLIT: Light = Light { toward_sun: DVec3::Z, ambient: 1.0 };
+
+fn body() -> Ellipsoid {
+    Ellipsoid::sphere(Meters(1e6)).unwrap()
+}
+
+fn globe(name: &str, kind: Kind, width: u32, priority: i32) -> areoid_cache::DatasetInfo {
+    let degrees = Crs::new(Projection::Geographic, body());
+    let pixel = 360.0 / f64::from(width);
+    let height = width / 2;
+    let outline = Outline { origin: [-180.0, 90.0], pixel_size: [pixel; 2], width, height };
+    dataset(name, kind, degrees, outline, 64, priority)
+}
+
+/// A rectangle about the view, whose coverage falls off toward its rim.
+fn region(name: &str, kind: Kind, priority: i32) -> areoid_cache::DatasetInfo {
+    let degrees = Crs::new(Projection::Geographic, body());
+    let outline = Outline { origin: [-10.0, 20.0], pixel_size: [0.1; 2], width: 240, height: 240 };
+    dataset(name, kind, degrees, outline, 64, priority)
+}
+
+fn waves(place: Geographic, k: f64) -> f64 {
+    let n = surface_normal(place);
+    ((k * n.x).sin() + (k * n.y + 1.0).cos() + (k * n.z).sin()) / 3.0
+}
+
+fn code(value: f64) -> f32 {
+    (127.5 + 120.0 * value).round() as f32
+}
+
+fn feathered(place: Geographic) -> u8 {
+    let [x, y] = [place.longitude, place.latitude].map(|angle| Degrees::from(angle).0);
+    let inside = (x + 10.0).min(14.0 - x).min(20.0 - y).min(y + 4.0);
+    (255.0 * (inside / 6.0).clamp(0.004, 1.0)) as u8
+}
+
+/// The ground's own normal in the tests: tilted up to 30° this way and that.
+fn tilted(place: Geographic) -> DVec3 {
+    let up = surface_normal(place);
+    (up + 0.5 * DVec3::new(waves(place, 9.0), waves(place, 7.0), waves(place, 8.0))).normalize()
+}
+
+/// Heights, two colors over one another, a luminance and two dates.
+fn planet() -> &'static Planet {
+    static PLANET: OnceLock<Planet> = OnceLock::new();
+    PLANET.get_or_init(|| {
+        let mut planet = Planet::default();
+        planet.add(globe("heights", Kind::Height, 512, 0), |place| {
+            ([2000.0 * waves(place, 5.0) as f32, 0.0, 0.0], 255)
+        });
+        planet.add(globe("base", Kind::Color, 512, 0), |place| {
+            ([11.0, 23.0, 31.0].map(|k| code(waves(place, k))), 255)
+        });
+        planet.add(region("sharp", Kind::Color, 1), |place| {
+            ([60.0, 40.0, 50.0].map(|k| code(waves(place, k))), feathered(place))
+        });
+        planet.add(region("beside", Kind::Color, 1), |place| {
+            ([20.0, 30.0, 10.0].map(|k| code(-waves(place, k))), 255)
+        });
+        planet
+    })
+}
+
+fn view() -> View {
+    let at = Geographic::from_degrees(Degrees(2.0), Degrees(8.0));
+    let pose =
+        Pose::from_eye(&body(), at, Meters(3e5), Degrees(20.0).into(), Degrees(-70.0).into());
+    pose.view(Degrees(45.0).into(), [SIDE; 2], 1.0)
+}
+
+fn draw(selection: &Selection, light: &Light, options: &Options) -> (Image, Vec<[f64; 2]>) {
+    let mut renderer = Renderer::new(gpu(), body());
+    renderer.render(&view(), selection, light, options);
+    let places = renderer.read_aovs().geographic;
+    (renderer.read_color(), places)
+}
+
+/// The largest difference between a picture's codes and those of a function of place and footprint.
+fn worst(
+    image: &Image,
+    places: &[[f64; 2]],
+    expected: impl Fn(Geographic, f64) -> [f64; 3],
+) -> f64 {
+    let view = view();
+    let mut worst = 0.0_f64;
+    let mut compared = 0;
+    for (pixel, &[longitude, latitude]) in image.rgba.chunks_exact(4).zip(places) {
+        if longitude.is_nan() {
+            continue;
+        }
+        let place = Geographic::from_degrees(Degrees(longitude), Degrees(latitude));
+        let ground = body().cartesian_from_geographic(place, Meters(0.0));
+        let footprint_m = ground.distance(view.eye) * pixel_angle(&view);
+        for (code, expected) in pixel.iter().zip(expected(place, footprint_m)) {
+            worst = worst.max((f64::from(*code) - expected).abs());
+        }
+        compared += 1;
+    }
+    assert!(compared > 5000, "{compared} pixels show the planet");
+    worst
+}
+
+fn style(layers: Vec<Layer>) -> Style {
+    Style { layers, ramp: None }
+}
+
+#[test]
+fn every_style_is_composed_as_the_twin_does() {
+    let stop = |height_m, color| Stop { height_m, color };
+    let ramp = Ramp {
+        stops: vec![stop(-900.0, [10, 0, 90]), stop(0.0, [0, 140, 20]), stop(700.0, [250; 3])],
+        opacity: 0.6,
+    };
+    let styles = [
+        ("as they are", Style::default()),
+        ("faint", style(vec![Layer { weight: 0.4, ..Layer::of("base") }])),
+        ("alone", style(vec![Layer { weight: 0.0, ..Layer::of("base") }])),
+        ("lifted", style(vec![Layer { priority: Some(5), weight: 0.7, ..Layer::of("base") }])),
+        (
+            "dates",
+            style(vec![
+                Layer { series: 1, weight: 0.3, ..Layer::of("beside") },
+                Layer { series: 1, weight: 0.7, ..Layer::of("sharp") },
+            ]),
+        ),
+        (
+            "luminance",
+            style(vec![
+                Layer { role: Role::Luminance, weight: 0.8, ..Layer::of("sharp") },
+                Layer { weight: 0.0, ..Layer::of("beside") },
+            ]),
+        ),
+        ("ramp", Style { ramp: Some(ramp), ..Style::default() }),
+    ];
+    let selection = planet().selection(|_| true);
+    let mut pictures = Vec::new();
+    for (name, style) in styles {
+        let options = Options { style: style.clone(), ..Options::default() };
+        let (image, places) = draw(&selection, &UNLIT, &options);
+        let surface = Surface::styled(&selection, &style);
+        let off = worst(&image, &places, |place, footprint_m| surface.color(place, footprint_m));
+        println!("{name}: at most {off:.2} codes");
+        assert!(off <= 2.0, "{name}: {off}");
+        pictures.push((name, image));
+    }
+    for (i, (one, image)) in pictures.iter().enumerate() {
+        for (other, same) in &pictures[..i] {
+            assert!(image != same, "{one} is {other}");
+        }
+    }
+}
+
+#[test]
+fn composed_normals_are_lit() {
+    let mut planet = Planet::default();
+    planet.add(globe("heights", Kind::Height, 128, 0), |_| ([0.0; 3], 255));
+    planet.add(globe("tilts", Kind::Normal, 1024, 0), |place| {
+        let codes = normal::codes(normal::exact_codes(tilted(place), surface_normal(place)));
+        (codes.map(f32::from), 255)
+    });
+    let selection = planet.selection(|_| true);
+    let light = Light { toward_sun: DVec3::new(1.0, 0.3, 0.6), ambient: 0.1 };
+    let (image, places) = draw(&selection, &light, &Options::default());
+    let surface = Surface::new(&selection);
+    let off = worst(&image, &places, |place, footprint_m| {
+        let found = surface.compose(Kind::Normal, place, footprint_m).unwrap();
+        let normal = normal::normal_from_codes(found.value, surface_normal(place));
+        let lit = 0.1 + 0.9 * normal.dot(light.toward_sun.normalize()).max(0.0);
+        BARE_COLOR.map(|code| {
+            let linear = ((code / 255.0 + 0.055) / 1.055).powf(2.4) * lit;
+            let encoded = if linear <= 0.003_130_8 {
+                12.92 * linear
+            } else {
+                1.055 * linear.powf(1.0 / 2.4) - 0.055
+            };
+            255.0 * encoded
+        })
+    });
+    assert!(off <= 2.0, "{off}");
+}
+
+#[test]
+fn a_page_that_comes_fades_in_and_a_picture_at_rest_is_not_drawn() {
+    let planet = planet();
+    let is_fine = |level: Level| level > Level(1);
+    let coarse = planet.selection(|page| !is_fine(page.entry.page.level));
+    let mut fine = planet.selection(|_| true);
+    fine.generation = 2;
+    let mut renderer = Renderer::new(gpu(), body());
+    let mut at = |selection: &Selection, seconds: f64| {
+        let options = Options { seconds, fade_seconds: 1.0, ..Options::default() };
+        let statistics = renderer.render(&view(), selection, &UNLIT, &options);
+        (renderer.read_color(), statistics)
+    };
+    let difference = |one: &Image, other: &Image| -> f64 {
+        let codes = one.rgba.iter().zip(&other.rgba);
+        codes.map(|(a, b)| f64::from(a.abs_diff(*b))).sum()
+    };
+    let (_, first) = at(&coarse, 0.0);
+    assert!(first.coming_pages > 0 && !first.is_same);
+    let (before, settled) = at(&coarse, 1.0);
+    assert!(settled.coming_pages == 0 && !settled.is_same);
+    let (_, rest) = at(&coarse, 1.5);
+    assert!(rest.is_same && rest.uploaded_pages == 0);
+
+    let (arrived, arriving) = at(&fine, 2.0);
+    assert!(arriving.uploaded_pages > 0 && arriving.coming_pages == arriving.uploaded_pages);
+    assert_eq!(difference(&before, &arrived), 0.0, "nothing pops");
+    let halfway = at(&fine, 2.5).0;
+    let (after, done) = at(&fine, 3.0);
+    assert!(done.coming_pages == 0);
+    let (whole, part) = (difference(&before, &after), difference(&before, &halfway));
+    assert!(whole > 1000.0 && part > 0.4 * whole && part < 0.6 * whole, "{part} of {whole}");
+    assert!(at(&fine, 9.0).1.is_same);
+}
