@@ -31,6 +31,15 @@ impl<E: Error + 'static> From<E> for Failure {
 }
 
 impl Failure {
+    /// The error and its causes in one line.
+    #[cfg(feature = "viewer")]
+    pub(crate) fn in_full(&self) -> String {
+        match self {
+            Self::Failed(error) | Self::Unfinished { reason: error, .. } => in_full(error.as_ref()),
+            Self::Misused(reason) => reason.clone(),
+        }
+    }
+
     /// Prints it, a line for each cause, and says how to exit.
     pub(crate) fn report(&self) -> ExitCode {
         match self {
@@ -51,6 +60,14 @@ impl Failure {
             }
         }
     }
+}
+
+/// An error and its causes in one line.
+#[cfg(feature = "viewer")]
+pub(crate) fn in_full(error: &(dyn Error + 'static)) -> String {
+    let errors = std::iter::successors(Some(error), |&error| error.source());
+    let texts: Vec<String> = errors.map(|error| error.to_string().trim_end().to_owned()).collect();
+    texts.join(": ")
 }
 
 /// Says what went wrong, and on a line for each what that came from.

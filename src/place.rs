@@ -42,6 +42,14 @@ impl Source {
         self.catalog.to_string()
     }
 
+    /// Its folder, if it is one.
+    pub(crate) fn folder(&self) -> Option<PathBuf> {
+        match &self.catalog {
+            Place::Folder(folder) => Some(folder.clone()),
+            Place::Server(_) => None,
+        }
+    }
+
     fn place(&self) -> Result<Place, Failure> {
         let most_bytes = self.disk_cache_mib.unwrap_or(DISK_CACHE_MIB).saturating_mul(1 << 20);
         match (self.catalog.clone(), &self.disk_cache) {

@@ -22,6 +22,8 @@ mod shader;
 
 pub mod surface;
 
+pub mod pick;
+
 mod map;
 
 mod mesh;
@@ -45,5 +47,6 @@ mod testing;
 
 pub use atmosphere::Atmosphere;
 pub use gpu::{Gpu, GpuError};
-pub use render::{Aovs, FrameStatistics, Image, Light, Options, Relief, Renderer};
+pub use pick::Picked;
+pub use render::{Aovs, Debug, FrameStatistics, Image, Light, Options, Relief, Renderer};
 pub use style::Style;

@@ -30,7 +30,7 @@ pub(crate) struct Scene {
     pub(crate) lod_bias: f32,
     pub(crate) exposure: f32,
     pub(crate) relief: [f32; 3],
-    pub(crate) _pad: u32,
+    pub(crate) debug: u32,
 }
 
 /// Mirrors `struct Atmosphere` of `shader/atmosphere.wgsl`.

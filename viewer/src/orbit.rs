@@ -45,6 +45,12 @@ impl Orbit {
         geographic_from_normal(self.frame.z_axis)
     }
 
+    /// How far the eye is from it.
+    #[must_use]
+    pub fn range(&self) -> Meters {
+        Meters(self.range_m)
+    }
+
     /// Drags the ground by pixels to the right and down, each of `pixel_angle` radians.
     pub fn drag(&mut self, right_px: f64, down_px: f64, pixel_angle: f64) {
         // Never faster than the planet's own disc turns under the hand.

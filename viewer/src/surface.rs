@@ -39,6 +39,8 @@ pub struct SurfacePoint {
     pub bound: f64,
     /// The level used in the dataset with the largest share.
     pub level: f64,
+    /// The number of that dataset.
+    pub dataset: usize,
     /// How far the user's weights let it cover what there is without it.
     pub opacity: f64,
 }
@@ -142,13 +144,13 @@ impl Surface {
                 bound,
                 coverage_bound,
             });
-            levels.push(level);
+            levels.push((level, dataset));
         }
         let composed = compose(&layers)?;
         let shares = composed.shares.iter().zip(&levels);
-        let (_, &level) = shares.max_by(|(a, _), (b, _)| a.total_cmp(b))?;
+        let (_, &(level, dataset)) = shares.max_by(|(a, _), (b, _)| a.total_cmp(b))?;
         let (value, bound, opacity) = (composed.value, composed.bound, composed.opacity);
-        Some(SurfacePoint { value, bound, level, opacity })
+        Some(SurfacePoint { value, bound, level, dataset, opacity })
     }
 
     /// The blend of the two levels about `wanted`, with its bound and the level it comes from.

@@ -11,4 +11,4 @@ mod targets;
 pub(crate) mod testing;
 
 pub use aovs::Aovs;
-pub use renderer::{FrameStatistics, Image, Light, Options, Relief, Renderer};
+pub use renderer::{Debug, FrameStatistics, Image, Light, Options, Relief, Renderer};

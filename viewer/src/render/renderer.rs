@@ -25,6 +25,7 @@ use crate::gpu::Gpu;
 use crate::mesh::detail::{Detail, SEGMENTS};
 use crate::mesh::patches::Mesh;
 use crate::mirror;
+use crate::pick::{Picked, pick};
 use crate::style::{Ramp, Style};
 use crate::surface::{BARE_COLOR, Surface};
 
@@ -54,6 +55,8 @@ pub struct Options {
     pub relief: Option<Relief>,
     /// Factor on light.
     pub exposure: f64,
+    /// What is shown of how it was made.
+    pub debug: Debug,
     /// The time of the frame, since any moment.
     pub seconds: f64,
     /// How long a page that has come takes to show wholly; at 0 it does at once.
@@ -70,10 +73,27 @@ impl Default for Options {
             atmosphere: None,
             relief: None,
             exposure: 1.0,
+            debug: Debug::Off,
             seconds: 0.0,
             fade_seconds: 0.0,
         }
     }
+}
+
+/// What the picture shows instead of the ground's colors.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Debug {
+    /// Nothing else.
+    #[default]
+    Off,
+    /// A color for each level of detail.
+    Level,
+    /// A color for each dataset.
+    Dataset,
+    /// The outlines of pages.
+    Borders,
+    /// Red where a coarser page stands in, blue where a finer one does.
+    Residency,
 }
 
 /// The light of shaded relief: on maps from the northwest, halfway up.
@@ -283,6 +303,13 @@ impl Renderer {
         found.map_or(0.0, |found| self.exaggeration * found.value[0])
     }
 
+    /// What the ray through a place of the picture drawn last, in pixels from its top left, meets.
+    #[must_use]
+    pub fn pick(&self, pixel: [f64; 2]) -> Option<Picked> {
+        let view = self.drawn.as_ref()?;
+        pick(&self.surface, &self.ellipsoid, view, self.exaggeration, pixel)
+    }
+
     /// The picture as a texture of sRGB codes, or `None` before the first.
     pub(crate) fn picture(&self) -> Option<&wgpu::Texture> {
         self.targets.as_ref().map(|targets| &targets.picture)
@@ -362,7 +389,7 @@ impl Renderer {
                 let (up, across) = relief.elevation.0.sin_cos();
                 axis(DVec3::new(sin_azimuth * across, cos_azimuth * across, up))
             }),
-            _pad: 0,
+            debug: options.debug as u32,
         };
         let gpu = &self.gpu;
         gpu.queue.write_buffer(&self.scene, 0, bytemuck::bytes_of(&scene));

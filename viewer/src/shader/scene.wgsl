@@ -41,7 +41,8 @@ struct Scene {
     exposure: f32,
     // Toward a light that is the same everywhere on the map: east, north, up. Null for the sun's.
     relief: vec3f,
-    pad: u32,
+    // What is shown of how the picture was made: debug.wgsl.
+    debug: u32,
 }
 
 @group(0) @binding(0) var<uniform> scene: Scene;

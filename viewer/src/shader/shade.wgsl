@@ -86,7 +86,8 @@ fn shade(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let d = pixel.place.d;
 
     let normal = normal_at(frame, index, d, pixel);
-    let color = linear_from_srgb(ground_color(index, d, pixel.footprint_m));
+    let ground = ground_color(index, d, pixel.footprint_m);
+    let color = linear_from_srgb(debug_color(ground, index, d, pixel.footprint_m));
     let up = frame.up + frame.east * d.x + frame.north * d.y + frame.up * d.z;
     let distance = length(pixel.position);
     let direction = pixel.position / distance;

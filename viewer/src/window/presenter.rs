@@ -5,6 +5,7 @@ use std::sync::Arc;
 use winit::window::Window;
 
 use super::WindowError;
+use super::painter::{Painted, Painter};
 use crate::gpu::Gpu;
 
 /// A configured surface.
@@ -53,18 +54,33 @@ impl Presenter {
         self.surface.configure(&self.gpu.device, &self.configuration);
     }
 
-    /// Shows a picture of the surface's size; whether it could.
-    pub(super) fn present(&mut self, picture: &wgpu::Texture) -> bool {
+    /// The window.
+    pub(super) fn window(&self) -> &Window {
+        &self.window
+    }
+
+    /// What the surface's texels are.
+    pub(super) fn format(&self) -> wgpu::TextureFormat {
+        self.configuration.format
+    }
+
+    /// A frame to show pictures in, if the surface has one now.
+    pub(super) fn begin(&mut self) -> Option<wgpu::SurfaceTexture> {
         use wgpu::CurrentSurfaceTexture::{Lost, Outdated, Suboptimal, Success};
 
-        let frame = match self.surface.get_current_texture() {
-            Success(frame) | Suboptimal(frame) => frame,
+        match self.surface.get_current_texture() {
+            Success(frame) | Suboptimal(frame) => Some(frame),
             Outdated | Lost => {
                 self.surface.configure(&self.gpu.device, &self.configuration);
-                return false;
+                None
             }
-            _ => return false,
-        };
+            _ => None,
+        }
+    }
+
+    /// Copies a picture into a frame, `left` pixels from its left edge.
+    pub(super) fn show(&self, frame: &wgpu::SurfaceTexture, picture: &wgpu::Texture, left: u32) {
+        let [width, height] = [picture.width(), picture.height()];
         let picture = picture.create_view(&wgpu::TextureViewDescriptor::default());
         let group = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("present"),
@@ -84,18 +100,43 @@ impl Presenter {
                     view: &view,
                     depth_slice: None,
                     resolve_target: None,
-                    ops: wgpu::Operations::default(),
+                    ops: wgpu::Operations {
+                        load: if left == 0 {
+                            wgpu::LoadOp::Clear(wgpu::Color::BLACK)
+                        } else {
+                            wgpu::LoadOp::Load
+                        },
+                        store: wgpu::StoreOp::Store,
+                    },
                 })],
                 ..Default::default()
             });
             pass.set_pipeline(&self.pipeline);
             pass.set_bind_group(0, &group, &[]);
+            pass.set_viewport(left as f32, 0.0, width as f32, height as f32, 0.0, 1.0);
             pass.draw(0..3, 0..1);
         }
         self.gpu.queue.submit([encoder.finish()]);
+    }
+
+    /// Paints the panel over a frame.
+    pub(super) fn paint(
+        &self,
+        frame: &wgpu::SurfaceTexture,
+        painter: &mut Painter,
+        painted: &Painted,
+    ) {
+        let view = frame.texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let descriptor = wgpu::CommandEncoderDescriptor { label: Some("panel") };
+        let mut encoder = self.gpu.device.create_command_encoder(&descriptor);
+        painter.paint(&self.gpu, &mut encoder, &view, painted);
+        self.gpu.queue.submit([encoder.finish()]);
+    }
+
+    /// Hands a frame to the display.
+    pub(super) fn end(&self, frame: wgpu::SurfaceTexture) {
         self.window.pre_present_notify();
         self.gpu.queue.present(frame);
-        true
     }
 }
 

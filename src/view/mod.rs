@@ -1,8 +1,14 @@
 //! `areoid view`.
 
+mod host;
+
+use std::io;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use areoid_viewer::Style;
 use areoid_viewer::window::{WindowOptions, run};
+use host::CacheHost;
 
 use crate::args::{numbers, position};
 use crate::failure::Failure;
@@ -11,8 +17,13 @@ use crate::place::Source;
 /// Show a catalog in a window.
 ///
 /// Drag with the left button, or use the arrow keys, to move the ground; turn the wheel, or press
-/// plus and minus, to come nearer; drag with the right button, or with Shift, to turn and tilt. N
-/// turns north ahead, E exaggerates heights, Esc ends.
+/// plus and minus, to come nearer; drag with the right button, or with Shift, to turn and tilt. Drag a
+/// raster onto the window to insert it.
+///
+/// Keys: N turns north ahead, E exaggerates heights, L changes the light, A shows the atmosphere,
+/// C colors by height, D shows levels, datasets, pages and what stands in, V shows two places or two
+/// eyes, B puts a bookmark and 1 to 9 go to one, R begins and ends to record a flight, P saves a
+/// screenshot, H hides the panel, Esc ends.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -32,6 +43,10 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PIXELS", default_value_t = 1.0)]
     tolerance_px: f64,
 
+    /// How datasets take part at first: weights, order, ramp, as the README has it.
+    #[arg(long, value_name = "F.json")]
+    style: Option<PathBuf>,
+
     /// Memory for pages, in mebibytes.
     #[arg(long, value_name = "MIB", default_value_t = 1024)]
     memory_mib: usize,
@@ -44,15 +59,24 @@ impl Args {
             return Err(Failure::Misused(reason.to_owned()));
         }
         let start = position(self.start).map_err(Failure::Misused)?;
+        let style = self.style.as_deref().map(read_style).transpose()?.unwrap_or_default();
         let cache = self.source.open(self.memory_mib)?;
-        let mut session = cache.session();
         let window = WindowOptions {
             title: format!("Areoid: {}", self.source.name()),
             ellipsoid: cache.body().ellipsoid,
             start,
             tolerance_px: self.tolerance_px,
+            style,
         };
-        run(window, |view| session.update(view))?;
+        run(window, CacheHost::new(cache, self.source.folder()))?;
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// The style in a file.
+pub(crate) fn read_style(path: &Path) -> Result<Style, Failure> {
+    let text = std::fs::read_to_string(path).map_err(|source| {
+        io::Error::new(source.kind(), format!("cannot read {}: {source}", path.display()))
+    })?;
+    Ok(Style::from_json(&text)?)
 }

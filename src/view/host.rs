@@ -1,0 +1,129 @@
+//! What a window asks for: pages of a cache, insertions into its folder, files beside the user.
+
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+
+use areoid_cache::insertion::{self, Lifetime};
+use areoid_cache::insertion_request::InsertRequest;
+use areoid_cache::{Cache, Datasets, Selection, Session, Stats, View};
+use areoid_formats::body::Body;
+use areoid_preprocess::build::Proceed;
+use areoid_preprocess::ingest::{Event, Request};
+use areoid_viewer::window::{Content, Host, Insertion, InsertionState};
+use image::{ImageBuffer, ImageFormat, RgbaImage};
+use serde_json::json;
+
+use crate::failure::in_full;
+use crate::output;
+
+/// Names that are tried for a new file.
+const MOST_FILES: u32 = 10_000;
+
+/// A cache for a window. Insertions run on threads of their own, which give way to all others.
+#[derive(Debug)]
+pub(super) struct CacheHost {
+    cache: Cache,
+    session: Session,
+    /// Where rasters go, if the catalog is a folder.
+    folder: Option<PathBuf>,
+    insertions: Arc<Mutex<Vec<Insertion>>>,
+}
+
+impl CacheHost {
+    pub(super) fn new(cache: Cache, folder: Option<PathBuf>) -> Self {
+        let session = cache.session();
+        Self { cache, session, folder, insertions: Arc::default() }
+    }
+}
+
+impl Host for CacheHost {
+    fn update(&mut self, views: &[View]) -> Arc<Selection> {
+        self.session.update_all(views)
+    }
+
+    fn datasets(&self) -> Datasets {
+        self.cache.datasets()
+    }
+
+    fn stats(&self) -> Stats {
+        self.cache.stats()
+    }
+
+    fn insert(&mut self, raster: &Path) {
+        let name = raster.file_name().unwrap_or(raster.as_os_str()).to_string_lossy().into_owned();
+        let started = self.folder.as_deref().ok_or("a server's catalog is changed on the server");
+        let request = started.map_err(str::to_owned).and_then(|folder| request(raster, folder));
+        let mut list = locked(&self.insertions);
+        let place = list.len();
+        let state = match &request {
+            Ok(_) => InsertionState::Running(0),
+            Err(reason) => InsertionState::Failed(reason.clone()),
+        };
+        list.push(Insertion { name, state });
+        drop(list);
+        if let Ok(request) = request {
+            let (insertions, body) = (Arc::clone(&self.insertions), self.cache.body().clone());
+            let tell = move |state| locked(&insertions)[place].state = state;
+            let teller = tell.clone();
+            let work = thread::Builder::new().name("insertion".to_owned());
+            if let Err(error) = work.spawn(move || run(request, &body, teller)) {
+                tell(InsertionState::Failed(error.to_string()));
+            }
+        }
+    }
+
+    fn insertions(&self) -> Vec<Insertion> {
+        locked(&self.insertions).clone()
+    }
+
+    fn save(&mut self, stem: &str, content: Content<'_>) -> Result<String, String> {
+        let (extension, bytes) = match content {
+            Content::Json(text) => ("json", text.as_bytes().to_vec()),
+            Content::Picture(picture) => {
+                let buffer: RgbaImage =
+                    ImageBuffer::from_raw(picture.width, picture.height, picture.rgba.clone())
+                        .expect("four samples a pixel");
+                let mut png = Cursor::new(Vec::new());
+                let written = buffer.write_to(&mut png, ImageFormat::Png);
+                written.map_err(|error| error.to_string())?;
+                ("png", png.into_inner())
+            }
+        };
+        let names = (1..MOST_FILES).map(|number| format!("{stem}-{number:04}.{extension}"));
+        let name = names.into_iter().find(|name| !Path::new(name).exists());
+        let name = name.ok_or_else(|| format!("there are too many files called {stem}"))?;
+        output::write_file(Path::new(&name), &bytes).map_err(|failure| failure.in_full())?;
+        Ok(name)
+    }
+}
+
+fn locked(list: &Mutex<Vec<Insertion>>) -> MutexGuard<'_, Vec<Insertion>> {
+    list.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A raster as `areoid ingest` takes it.
+fn request(raster: &Path, folder: &Path) -> Result<Request, String> {
+    let raster = std::path::absolute(raster).map_err(|error| error.to_string())?;
+    let request: InsertRequest = serde_json::from_value(json!({ "rasters": [raster] }))
+        .map_err(|error| error.to_string())?;
+    request.request(folder.to_owned())
+}
+
+/// The cache follows its folder: what is in the catalog shows by itself.
+fn run(request: Request, body: &Body, tell: impl Fn(InsertionState) + Send) {
+    let watch = |event: Event| {
+        if let Event::Building(progress) = event
+            && let Some(percent) = (100 * progress.units_done).checked_div(progress.units)
+        {
+            tell(InsertionState::Running(u8::try_from(percent).unwrap_or(100)));
+        }
+        Proceed::Yes
+    };
+    let inserted = insertion::insert(request, Lifetime::Kept, body, watch);
+    tell(match inserted {
+        Ok(_) => InsertionState::Done,
+        Err(error) => InsertionState::Failed(in_full(&error)),
+    });
+}

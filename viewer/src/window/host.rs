@@ -1,0 +1,57 @@
+//! What a window asks for from outside: pages, datasets, insertions, files.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use areoid_cache::{Datasets, Selection, Stats, View};
+
+/// Where a window's pages come from, and where rasters, pictures and flights go. All of it is called
+/// on the thread that draws, and none of it may wait.
+pub trait Host {
+    /// The pages in memory for views that are shown side by side.
+    fn update(&mut self, views: &[View]) -> Arc<Selection>;
+
+    /// All datasets of the catalog.
+    fn datasets(&self) -> Datasets;
+
+    /// What the cache has done.
+    fn stats(&self) -> Stats;
+
+    /// Begins to turn a raster into a dataset; what becomes of it is in [`Self::insertions`].
+    fn insert(&mut self, raster: &Path);
+
+    /// What was inserted, and what is being, in the order in which it began.
+    fn insertions(&self) -> Vec<Insertion>;
+
+    /// Writes a new file whose name begins with `stem`, and says which, or why not.
+    fn save(&mut self, stem: &str, content: Content<'_>) -> Result<String, String>;
+}
+
+/// What a window saves.
+#[derive(Clone, Copy, Debug)]
+pub enum Content<'a> {
+    /// A picture.
+    Picture(&'a crate::Image),
+    /// A text of JSON.
+    Json(&'a str),
+}
+
+/// An insertion, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Insertion {
+    /// Of the raster.
+    pub name: String,
+    /// How far it is.
+    pub state: InsertionState,
+}
+
+/// How far an insertion is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum InsertionState {
+    /// Percent.
+    Running(u8),
+    /// It is in the catalog.
+    Done,
+    /// It failed and left nothing.
+    Failed(String),
+}

@@ -1,0 +1,235 @@
+//! The panel: what it shows is given to it, and what the user changes it writes down.
+
+use areoid_cache::{Datasets, Stats};
+use areoid_formats::page::Kind;
+use areoid_formats::units::Degrees;
+use egui::{Context, DragValue, Slider, Ui};
+
+use super::host::{Insertion, InsertionState};
+use super::settings::{Arrangement, Lighting, Settings};
+use crate::pick::Picked;
+use crate::render::{Debug, FrameStatistics};
+use crate::style::Role;
+
+/// What the panel tells.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Figures {
+    pub(super) frame: FrameStatistics,
+    pub(super) frame_ms: f64,
+    pub(super) missing: usize,
+    pub(super) wanted: usize,
+    /// The tolerance that was met, in pixels.
+    pub(super) met_px: f64,
+    pub(super) stats: Stats,
+    pub(super) under_cursor: Option<Picked>,
+    /// The name of the dataset there.
+    pub(super) dataset: String,
+    pub(super) insertions: Vec<Insertion>,
+    /// What was done last.
+    pub(super) message: String,
+    pub(super) bookmarks: usize,
+    pub(super) is_recording: bool,
+}
+
+/// What the user asks for in the panel.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Wish {
+    Insert(String),
+    AddBookmark,
+    GoTo(usize),
+    Record,
+    Screenshot,
+}
+
+/// What the panel keeps between frames.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Panel {
+    raster: String,
+}
+
+impl Panel {
+    /// Shows the panel; what the user asks for is returned.
+    pub(super) fn show(
+        &mut self,
+        context: &Context,
+        settings: &mut Settings,
+        datasets: &Datasets,
+        figures: &Figures,
+    ) -> Vec<Wish> {
+        let mut wishes = Vec::new();
+        let window = egui::Window::new("Areoid").default_pos([8.0, 8.0]).default_width(270.0);
+        window.vscroll(true).show(context, |ui| {
+            under_cursor(ui, figures);
+            ui.collapsing("Datasets", |ui| layers(ui, settings, datasets));
+            ui.collapsing("Insert", |ui| self.insert(ui, figures, &mut wishes));
+            ui.collapsing("Picture", |ui| picture(ui, settings));
+            ui.collapsing("Light", |ui| light(ui, settings));
+            ui.collapsing("Views", |ui| views(ui, settings, figures, &mut wishes));
+            ui.collapsing("Figures", |ui| statistics(ui, figures));
+            if !figures.message.is_empty() {
+                ui.label(&figures.message);
+            }
+        });
+        wishes
+    }
+
+    fn insert(&mut self, ui: &mut Ui, figures: &Figures, wishes: &mut Vec<Wish>) {
+        ui.label("Drag a raster onto the window, or name it:");
+        ui.horizontal(|ui| {
+            ui.text_edit_singleline(&mut self.raster);
+            if ui.button("Insert").clicked() && !self.raster.trim().is_empty() {
+                wishes.push(Wish::Insert(self.raster.trim().to_owned()));
+            }
+        });
+        for insertion in &figures.insertions {
+            match &insertion.state {
+                InsertionState::Running(percent) => {
+                    let share = f32::from(*percent) / 100.0;
+                    let text = format!("{} {percent} %", insertion.name);
+                    ui.add(egui::ProgressBar::new(share).text(text));
+                }
+                InsertionState::Done => {
+                    ui.label(format!("{}: in the catalog", insertion.name));
+                }
+                InsertionState::Failed(reason) => {
+                    let text = format!("{}: {reason}", insertion.name);
+                    ui.colored_label(ui.visuals().error_fg_color, text);
+                }
+            }
+        }
+    }
+}
+
+fn under_cursor(ui: &mut Ui, figures: &Figures) {
+    let Some(picked) = &figures.under_cursor else {
+        ui.label("—");
+        return;
+    };
+    let [longitude, latitude] =
+        [picked.place.longitude, picked.place.latitude].map(|angle| Degrees::from(angle).0);
+    ui.monospace(format!("{longitude:.5}°, {latitude:.5}°"));
+    match &picked.height {
+        Some(found) => {
+            ui.monospace(format!("{:.1} m ± {:.1} m", found.value[0], found.bound));
+            ui.monospace(format!("{}, level {:.1}", figures.dataset, found.level));
+        }
+        None => {
+            ui.monospace("no height");
+        }
+    }
+}
+
+fn layers(ui: &mut Ui, settings: &mut Settings, datasets: &Datasets) {
+    for (_, info) in datasets.iter() {
+        let kind = match info.kind {
+            Kind::Height => "height",
+            Kind::Color => "color",
+            Kind::Normal => "normal",
+        };
+        let before = settings.layer(&info.name);
+        let mut layer = before.clone();
+        ui.horizontal(|ui| {
+            let mut is_shown = layer.weight > 0.0;
+            if ui.checkbox(&mut is_shown, &info.name).changed() {
+                layer.weight = if is_shown { 1.0 } else { 0.0 };
+            }
+            ui.weak(kind);
+        });
+        ui.indent(&info.name, |ui| {
+            ui.horizontal(|ui| {
+                ui.add(Slider::new(&mut layer.weight, 0.0..=1.0).fixed_decimals(2).text("weight"));
+            });
+            ui.horizontal(|ui| {
+                let mut priority = layer.priority.unwrap_or(info.priority);
+                ui.label("order");
+                if ui.add(DragValue::new(&mut priority)).changed() {
+                    layer.priority = Some(priority);
+                }
+                ui.label("series");
+                ui.add(DragValue::new(&mut layer.series).range(0..=99));
+                if info.kind == Kind::Color {
+                    let mut is_luminance = layer.role == Role::Luminance;
+                    ui.checkbox(&mut is_luminance, "luminance");
+                    layer.role = if is_luminance { Role::Luminance } else { Role::Color };
+                }
+            });
+        });
+        if layer != before {
+            settings.set_layer(layer);
+        }
+    }
+}
+
+fn picture(ui: &mut Ui, settings: &mut Settings) {
+    let tolerance = Slider::new(&mut settings.tolerance_px, 0.25..=16.0).logarithmic(true);
+    ui.add(tolerance.text("tolerance, px"));
+    ui.add(Slider::new(&mut settings.exaggeration, 0.0..=20.0).text("heights ×"));
+    ui.checkbox(&mut settings.has_ramp, "colors by height");
+    ui.horizontal(|ui| {
+        for (debug, name) in [
+            (Debug::Off, "plain"),
+            (Debug::Level, "level"),
+            (Debug::Dataset, "dataset"),
+            (Debug::Borders, "pages"),
+            (Debug::Residency, "residency"),
+        ] {
+            ui.selectable_value(&mut settings.debug, debug, name);
+        }
+    });
+}
+
+fn light(ui: &mut Ui, settings: &mut Settings) {
+    ui.horizontal(|ui| {
+        ui.selectable_value(&mut settings.lighting, Lighting::Headlamp, "headlamp");
+        ui.selectable_value(&mut settings.lighting, Lighting::Sun, "sun");
+        ui.selectable_value(&mut settings.lighting, Lighting::Relief, "relief");
+    });
+    if settings.lighting == Lighting::Sun {
+        ui.add(Slider::new(&mut settings.sun[0], -180.0..=180.0).text("sun's longitude"));
+        ui.add(Slider::new(&mut settings.sun[1], -90.0..=90.0).text("sun's latitude"));
+    }
+    ui.add(Slider::new(&mut settings.exposure, 0.1..=10.0).logarithmic(true).text("exposure"));
+    ui.checkbox(&mut settings.has_air, "atmosphere");
+}
+
+fn views(ui: &mut Ui, settings: &mut Settings, figures: &Figures, wishes: &mut Vec<Wish>) {
+    ui.horizontal(|ui| {
+        ui.selectable_value(&mut settings.arrangement, Arrangement::Single, "one");
+        ui.selectable_value(&mut settings.arrangement, Arrangement::SideBySide, "two places");
+        ui.selectable_value(&mut settings.arrangement, Arrangement::Stereo, "stereo");
+    });
+    ui.horizontal(|ui| {
+        if ui.button("Bookmark (B)").clicked() {
+            wishes.push(Wish::AddBookmark);
+        }
+        for place in 0..figures.bookmarks {
+            if ui.button(format!("{}", place + 1)).clicked() {
+                wishes.push(Wish::GoTo(place));
+            }
+        }
+    });
+    ui.horizontal(|ui| {
+        let text = if figures.is_recording { "Stop recording (R)" } else { "Record a flight (R)" };
+        if ui.button(text).clicked() {
+            wishes.push(Wish::Record);
+        }
+        if ui.button("Screenshot (P)").clicked() {
+            wishes.push(Wish::Screenshot);
+        }
+    });
+}
+
+fn statistics(ui: &mut Ui, figures: &Figures) {
+    let Figures { frame, stats, .. } = figures;
+    ui.monospace(format!("{:.1} ms to encode", figures.frame_ms));
+    ui.monospace(format!("{} patches, {} triangles", frame.patches, frame.triangles));
+    ui.monospace(format!("{} pages wanted, {} missing", figures.wanted, figures.missing));
+    ui.monospace(format!("{:.2} px met", figures.met_px));
+    ui.monospace(format!(
+        "{} of {} MiB, {} pages",
+        stats.bytes >> 20,
+        stats.budget_bytes >> 20,
+        stats.pages
+    ));
+    ui.monospace(format!("{} loads, {} dropped", stats.loads, stats.evictions));
+}

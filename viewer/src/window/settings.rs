@@ -1,0 +1,130 @@
+//! What the user of a window may set.
+
+use areoid_formats::body::Ellipsoid;
+use areoid_formats::geodesy::{Geographic, surface_normal};
+use areoid_formats::units::Degrees;
+use glam::DVec3;
+
+use crate::Atmosphere;
+use crate::render::{Debug, Light, Options, Relief};
+use crate::style::{Layer, Ramp, Stop, Style};
+
+/// How the picture is lit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Lighting {
+    /// From over the left shoulder.
+    Headlamp,
+    /// From the sun, wherever it is put.
+    Sun,
+    /// From the northwest everywhere.
+    Relief,
+}
+
+/// How many views the window shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Arrangement {
+    Single,
+    /// Two places of one planet.
+    SideBySide,
+    /// Two eyes on one place.
+    Stereo,
+}
+
+/// Everything that the panel changes.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Settings {
+    pub(super) tolerance_px: f64,
+    pub(super) exaggeration: f64,
+    pub(super) exposure: f64,
+    pub(super) lighting: Lighting,
+    /// Longitude and latitude in degrees.
+    pub(super) sun: [f64; 2],
+    pub(super) has_air: bool,
+    pub(super) has_ramp: bool,
+    pub(super) style: Style,
+    pub(super) debug: Debug,
+    pub(super) arrangement: Arrangement,
+}
+
+const AMBIENT: f64 = 0.06;
+/// Bytes of pages to the GPU in a frame.
+const UPLOAD_LIMIT_BYTES: u64 = 16 << 20;
+const FADE_SECONDS: f64 = 0.25;
+
+impl Settings {
+    pub(super) fn new(tolerance_px: f64, style: Style) -> Self {
+        Self {
+            tolerance_px,
+            exaggeration: 1.0,
+            exposure: 1.0,
+            lighting: Lighting::Headlamp,
+            sun: [0.0, 0.0],
+            has_air: false,
+            has_ramp: style.ramp.is_some(),
+            style,
+            debug: Debug::Off,
+            arrangement: Arrangement::Single,
+        }
+    }
+
+    /// The light on what an eye of this orientation, over this place, sees.
+    pub(super) fn light(&self, focus: Geographic, right: DVec3, up: DVec3) -> Light {
+        let toward_sun = match self.lighting {
+            Lighting::Sun => {
+                let [longitude, latitude] = self.sun.map(Degrees);
+                surface_normal(Geographic::from_degrees(longitude, latitude))
+            }
+            _ => surface_normal(focus) - 0.7 * right + 0.5 * up,
+        };
+        Light { toward_sun, ambient: AMBIENT }
+    }
+
+    /// How to draw at a time.
+    pub(super) fn options(&self, body: &Ellipsoid, seconds: f64) -> Options {
+        let is_relief = self.lighting == Lighting::Relief;
+        let mut style = self.style.clone();
+        if self.has_ramp {
+            style.ramp.get_or_insert_with(ramp);
+        } else {
+            style.ramp = None;
+        }
+        Options {
+            vertical_exaggeration: self.exaggeration,
+            upload_limit_bytes: UPLOAD_LIMIT_BYTES,
+            style,
+            atmosphere: if self.has_air { Atmosphere::of(body) } else { None },
+            relief: is_relief.then(Relief::default),
+            exposure: self.exposure,
+            debug: self.debug,
+            seconds,
+            fade_seconds: FADE_SECONDS,
+            ..Options::default()
+        }
+    }
+
+    /// What is said of a dataset.
+    pub(super) fn layer(&self, dataset: &str) -> Layer {
+        let layer = self.style.layer(dataset).cloned().unwrap_or(Layer::of(dataset));
+        Layer { dataset: dataset.to_owned(), ..layer }
+    }
+
+    /// Says it.
+    pub(super) fn set_layer(&mut self, layer: Layer) {
+        self.style.layers.retain(|other| other.dataset != layer.dataset);
+        self.style.layers.push(layer);
+    }
+}
+
+/// Dark blue to white over the heights of planets.
+fn ramp() -> Ramp {
+    let stop = |height_m, color| Stop { height_m, color };
+    let stops = vec![
+        stop(-8000.0, [24, 26, 90]),
+        stop(-3000.0, [40, 110, 160]),
+        stop(0.0, [70, 150, 90]),
+        stop(3000.0, [210, 190, 110]),
+        stop(9000.0, [170, 90, 50]),
+        stop(20_000.0, [250, 250, 250]),
+    ];
+    Ramp { stops, opacity: 1.0 }
+}

@@ -1,0 +1,359 @@
+//! The running window: events in, frames out.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use areoid_cache::flight::Key;
+use areoid_cache::{Selection, View};
+use areoid_formats::units::{Meters, Radians};
+use winit::application::ApplicationHandler;
+use winit::dpi::LogicalSize;
+use winit::event::{ElementState, WindowEvent};
+use winit::event_loop::{ActiveEventLoop, ControlFlow};
+use winit::window::{Window, WindowId};
+
+use super::hand::{Hand, Order, press};
+use super::host::{Content, Host, InsertionState};
+use super::painter::Painter;
+use super::panel::{Figures, Panel, Wish};
+use super::presenter::Presenter;
+use super::record::key_of;
+use super::settings::{Arrangement, Settings};
+use super::{WindowError, WindowOptions};
+use crate::camera::pixel_angle;
+use crate::orbit::Orbit;
+use crate::render::Renderer;
+
+/// How often a window at rest looks whether pages came while some are missing, and while none is.
+const POLL_BUSY: Duration = Duration::from_millis(16);
+const POLL_REST: Duration = Duration::from_millis(250);
+const VERTICAL_FOV: Radians = Radians(std::f64::consts::FRAC_PI_4);
+/// Keys of a recorded flight stand so far apart.
+const RECORD_EVERY_SECONDS: f64 = 0.1;
+/// Eyes of a stereo pair stand this share of their distance from the ground apart.
+const STEREO_BASE: f64 = 0.03;
+
+/// The state of a running window.
+pub(super) struct Viewer<H> {
+    options: WindowOptions,
+    host: H,
+    settings: Settings,
+    /// The second is for the place beside.
+    orbits: [Orbit; 2],
+    /// Which of them the hand is on.
+    active: usize,
+    hand: Hand,
+    panel: Panel,
+    is_panel_shown: bool,
+    figures: Figures,
+    bookmarks: Vec<Orbit>,
+    recording: Option<(Instant, Vec<Key>)>,
+    stage: Option<Stage>,
+    start: Instant,
+    pub(super) outcome: Result<(), WindowError>,
+}
+
+/// What exists once there is a window.
+struct Stage {
+    presenter: Presenter,
+    renderer: Renderer,
+    painter: Painter,
+    /// What was drawn last: the same twice is not drawn.
+    drawn: Option<(Vec<View>, u64, Settings)>,
+    /// Whether the last frame left something to do, and whether the panel changes.
+    unfinished: bool,
+    /// Whether pages are on their way, or an insertion is.
+    is_busy: bool,
+}
+
+impl<H: Host> Viewer<H> {
+    pub(super) fn new(options: WindowOptions, host: H) -> Self {
+        let far = Meters(3.0 * options.ellipsoid.a().0);
+        let orbit = Orbit::above(options.ellipsoid, options.start, far);
+        Self {
+            settings: Settings::new(options.tolerance_px, options.style.clone()),
+            orbits: [orbit; 2],
+            active: 0,
+            hand: Hand::default(),
+            panel: Panel::default(),
+            is_panel_shown: true,
+            figures: Figures::default(),
+            bookmarks: Vec::new(),
+            recording: None,
+            stage: None,
+            start: Instant::now(),
+            outcome: Ok(()),
+            options,
+            host,
+        }
+    }
+
+    fn open(&self, event_loop: &ActiveEventLoop) -> Result<Stage, WindowError> {
+        let attributes = Window::default_attributes()
+            .with_title(&self.options.title)
+            .with_inner_size(LogicalSize::new(1280, 720));
+        let window = event_loop.create_window(attributes).map_err(WindowError::Window)?;
+        let display = Box::new(event_loop.owned_display_handle());
+        let mut descriptor = wgpu::InstanceDescriptor::new_with_display_handle(display);
+        descriptor.backends = wgpu::Backends::VULKAN | wgpu::Backends::GL;
+        let instance = wgpu::Instance::new(descriptor);
+        let presenter = Presenter::new(&instance, Arc::new(window))?;
+        let gpu = presenter.gpu();
+        let renderer = Renderer::new(gpu, self.options.ellipsoid);
+        let painter = Painter::new(gpu, presenter.window(), presenter.format());
+        Ok(Stage { presenter, renderer, painter, drawn: None, unfinished: true, is_busy: true })
+    }
+
+    /// The views that stand side by side.
+    fn views(&self, stage: &Stage) -> Vec<View> {
+        let [width, height] = stage.presenter.viewport();
+        let half = [(width / 2).max(1), height];
+        let tolerance_px = self.settings.tolerance_px;
+        let pose = |orbit: &Orbit| orbit.pose(|normal| stage.renderer.height_m(normal));
+        match self.settings.arrangement {
+            Arrangement::Single => {
+                vec![pose(&self.orbits[0]).view(VERTICAL_FOV, [width, height], tolerance_px)]
+            }
+            Arrangement::SideBySide => {
+                self.orbits.map(|orbit| pose(&orbit).view(VERTICAL_FOV, half, tolerance_px)).into()
+            }
+            Arrangement::Stereo => {
+                let pose = pose(&self.orbits[0]);
+                let apart = STEREO_BASE * self.orbits[0].range().0 * pose.orientation.x_axis;
+                let view = pose.view(VERTICAL_FOV, half, tolerance_px);
+                [-0.5, 0.5].map(|side| View { eye: view.eye + side * apart, ..view }).into()
+            }
+        }
+    }
+
+    /// Asks for pages, and draws if anything is new.
+    fn draw(&mut self) {
+        let Some(mut stage) = self.stage.take() else { return };
+        let views = self.views(&stage);
+        let selection = self.host.update(&views);
+        self.record(&views);
+        let insertions = self.host.insertions();
+        let changed = insertions != self.figures.insertions;
+        self.figures.insertions = insertions;
+        let is_new = stage.drawn.as_ref().is_none_or(|(drawn, generation, settings)| {
+            *drawn != views || *generation != selection.generation || *settings != self.settings
+        });
+        if is_new || stage.unfinished || changed {
+            self.show(&mut stage, views, &selection);
+        }
+        let is_inserting = |state: &InsertionState| matches!(state, InsertionState::Running(_));
+        stage.is_busy = selection.missing > 0
+            || self.recording.is_some()
+            || self.figures.insertions.iter().any(|insertion| is_inserting(&insertion.state));
+        self.stage = Some(stage);
+    }
+
+    fn show(&mut self, stage: &mut Stage, views: Vec<View>, selection: &Selection) {
+        // First of all: what the panel wants painted is told once.
+        let Some(frame) = stage.presenter.begin() else {
+            stage.unfinished = true;
+            return;
+        };
+        let settings_before = self.settings.clone();
+        self.tell(stage, selection);
+        let datasets = self.host.datasets();
+        let mut wishes = Vec::new();
+        let painted = self.is_panel_shown.then(|| {
+            let Stage { painter, presenter, .. } = &mut *stage;
+            let (panel, settings, figures) = (&mut self.panel, &mut self.settings, &self.figures);
+            painter.run(presenter.window(), |context| {
+                wishes.extend(panel.show(context, settings, &datasets, figures));
+            })
+        });
+
+        let began = Instant::now();
+        let seconds = self.start.elapsed().as_secs_f64();
+        let options = self.settings.options(&self.options.ellipsoid, seconds);
+        let (mut left, mut unfinished) = (0, false);
+        for (place, view) in views.iter().enumerate() {
+            let orbit = &self.orbits[self.orbit_of(place)];
+            let [right, up] = [view.orientation.x_axis, view.orientation.y_axis];
+            let light = self.settings.light(orbit.focus(), right, up);
+            let drawn = stage.renderer.render(view, selection, &light, &options);
+            if let Some(picture) = stage.renderer.picture() {
+                stage.presenter.show(&frame, picture, left);
+            }
+            left += view.viewport[0];
+            unfinished |= drawn.pending_pages + drawn.coming_pages > 0;
+            if !drawn.is_same {
+                self.figures.frame = drawn;
+            }
+        }
+        self.figures.frame_ms = began.elapsed().as_secs_f64() * 1e3;
+        if let Some(painted) = &painted {
+            stage.presenter.paint(&frame, &mut stage.painter, painted);
+        }
+        stage.presenter.end(frame);
+        let is_moving = painted.is_some_and(|painted| painted.is_moving);
+        stage.unfinished = unfinished || is_moving || settings_before != self.settings;
+        stage.drawn = Some((views, selection.generation, self.settings.clone()));
+        for wish in wishes {
+            self.grant(&wish, stage);
+        }
+    }
+
+    /// The orbit of the view at a place from the left.
+    fn orbit_of(&self, place: usize) -> usize {
+        if self.settings.arrangement == Arrangement::SideBySide { place } else { 0 }
+    }
+
+    fn tell(&mut self, stage: &Stage, selection: &Selection) {
+        let figures = &mut self.figures;
+        (figures.missing, figures.wanted) = (selection.missing, selection.wanted);
+        figures.met_px = selection.tolerance_px;
+        figures.stats = self.host.stats();
+        (figures.bookmarks, figures.is_recording) =
+            (self.bookmarks.len(), self.recording.is_some());
+        // The renderer knows the view that it drew last: the one on the right.
+        let [width, _] = stage.presenter.viewport();
+        let views = if self.settings.arrangement == Arrangement::Single { 1 } else { 2 };
+        let left = f64::from(width / views * (views - 1));
+        let pixel = [self.hand.position.x - left, self.hand.position.y];
+        figures.under_cursor = (pixel[0] >= 0.0).then(|| stage.renderer.pick(pixel)).flatten();
+        let height = figures.under_cursor.as_ref().and_then(|picked| picked.height);
+        let info = height.and_then(|height| selection.datasets.get(height.dataset));
+        figures.dataset = info.map(|info| info.name.clone()).unwrap_or_default();
+    }
+
+    fn record(&mut self, views: &[View]) {
+        let Some((began, keys)) = &mut self.recording else { return };
+        let seconds = began.elapsed().as_secs_f64();
+        if keys.last().is_none_or(|last| seconds >= last.seconds + RECORD_EVERY_SECONDS) {
+            let pose = crate::camera::Pose { eye: views[0].eye, orientation: views[0].orientation };
+            keys.push(key_of(&pose, &self.options.ellipsoid, seconds));
+        }
+    }
+
+    fn grant(&mut self, wish: &Wish, stage: &mut Stage) {
+        stage.unfinished = true;
+        match wish {
+            Wish::Insert(raster) => self.host.insert(std::path::Path::new(raster)),
+            Wish::AddBookmark => self.bookmarks.push(self.orbits[self.active]),
+            Wish::GoTo(place) => {
+                if let Some(orbit) = self.bookmarks.get(*place) {
+                    self.orbits[self.active] = *orbit;
+                }
+            }
+            Wish::Record => match self.recording.take() {
+                None => self.recording = Some((Instant::now(), Vec::new())),
+                Some((_, keys)) => {
+                    let flight = areoid_cache::flight::Flight::new(keys);
+                    let json = flight.map_err(|error| error.to_string()).and_then(|flight| {
+                        serde_json::to_string_pretty(&flight).map_err(|error| error.to_string())
+                    });
+                    let saved =
+                        json.and_then(|json| self.host.save("flight", Content::Json(&json)));
+                    self.say(saved);
+                }
+            },
+            Wish::Screenshot => {
+                let picture = stage.renderer.read_color();
+                let saved = self.host.save("areoid", Content::Picture(&picture));
+                self.say(saved);
+            }
+        }
+    }
+
+    fn say(&mut self, saved: Result<String, String>) {
+        self.figures.message = match saved {
+            Ok(name) => format!("saved {name}"),
+            Err(reason) => reason,
+        };
+    }
+
+    fn pressed(&mut self, event_loop: &ActiveEventLoop, key: &winit::keyboard::Key) {
+        let Some(mut stage) = self.stage.take() else { return };
+        let pixel_angle = self.pixel_angle(&stage);
+        let orbit = &mut self.orbits[self.active];
+        match press(key, orbit, &mut self.settings, pixel_angle) {
+            Some(Order::End) => event_loop.exit(),
+            Some(Order::AddBookmark) => self.grant(&Wish::AddBookmark, &mut stage),
+            Some(Order::GoTo(place)) => self.grant(&Wish::GoTo(place), &mut stage),
+            Some(Order::Record) => self.grant(&Wish::Record, &mut stage),
+            Some(Order::Screenshot) => self.grant(&Wish::Screenshot, &mut stage),
+            Some(Order::TogglePanel) => {
+                self.is_panel_shown = !self.is_panel_shown;
+                stage.unfinished = true;
+            }
+            None => {}
+        }
+        self.stage = Some(stage);
+    }
+
+    fn pixel_angle(&self, stage: &Stage) -> f64 {
+        pixel_angle(&self.views(stage)[0])
+    }
+}
+
+impl<H: Host> ApplicationHandler for Viewer<H> {
+    fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        if self.stage.is_some() {
+            return;
+        }
+        match self.open(event_loop) {
+            Ok(stage) => self.stage = Some(stage),
+            Err(error) => {
+                self.outcome = Err(error);
+                event_loop.exit();
+            }
+        }
+    }
+
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
+        let Some(stage) = &mut self.stage else { return };
+        let is_taken = if self.is_panel_shown {
+            let (is_taken, changes) = stage.painter.hears(stage.presenter.window(), &event);
+            stage.unfinished |= changes;
+            is_taken
+        } else {
+            false
+        };
+        match &event {
+            WindowEvent::CloseRequested => event_loop.exit(),
+            WindowEvent::Resized(size) => {
+                stage.presenter.resize(size.width, size.height);
+                stage.unfinished = true;
+            }
+            // What the window showed may be gone: an equal frame counts as a new one.
+            WindowEvent::RedrawRequested => stage.unfinished = true,
+            WindowEvent::DroppedFile(path) => self.host.insert(path),
+            WindowEvent::KeyboardInput { event, .. } => {
+                if event.state == ElementState::Pressed && !is_taken {
+                    self.pressed(event_loop, &event.logical_key);
+                }
+            }
+            _ if is_taken => self.hand.release(),
+            event => {
+                if let WindowEvent::CursorMoved { position, .. } = event {
+                    let is_right = 2.0 * position.x > f64::from(stage.presenter.viewport()[0]);
+                    let is_beside = self.settings.arrangement == Arrangement::SideBySide;
+                    self.active = usize::from(is_right && is_beside);
+                    // The panel tells what is under the cursor.
+                    stage.unfinished |= self.is_panel_shown;
+                }
+                let stage = self.stage.as_ref().expect("it was there at the top");
+                let pixel_angle = self.pixel_angle(stage);
+                self.hand.point(event, &mut self.orbits[self.active], pixel_angle);
+            }
+        }
+    }
+
+    /// After the events of a turn: what they changed shows in the view.
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        self.draw();
+        let busy = self.stage.as_ref().is_some_and(|stage| stage.unfinished || stage.is_busy);
+        let rest = if busy { POLL_BUSY } else { POLL_REST };
+        event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + rest));
+    }
+}
+
+impl<H> std::fmt::Debug for Viewer<H> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Viewer").field("settings", &self.settings).finish_non_exhaustive()
+    }
+}
