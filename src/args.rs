@@ -34,6 +34,8 @@ enum Command {
     Snapshot(crate::snapshot::Args),
     #[cfg(feature = "viewer")]
     View(crate::view::Args),
+    #[cfg(feature = "viewer")]
+    Fly(crate::fly::Args),
 }
 
 impl Cli {
@@ -52,6 +54,8 @@ impl Cli {
             Command::Snapshot(args) => args.run(),
             #[cfg(feature = "viewer")]
             Command::View(args) => args.run(),
+            #[cfg(feature = "viewer")]
+            Command::Fly(args) => args.run(),
         }
     }
 }

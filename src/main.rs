@@ -3,6 +3,8 @@
 mod args;
 mod bench;
 mod failure;
+#[cfg(feature = "viewer")]
+mod fly;
 mod height;
 mod info;
 mod ingest;
@@ -15,9 +17,12 @@ mod page;
 #[cfg(feature = "viewer")]
 mod place;
 mod progress;
+mod quantile;
 mod remove;
 mod resources;
 mod serve;
+#[cfg(feature = "viewer")]
+mod shot;
 #[cfg(feature = "viewer")]
 mod snapshot;
 mod verify;

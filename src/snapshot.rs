@@ -1,6 +1,5 @@
 //! `areoid snapshot`.
 
-use std::io::Cursor;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -8,13 +7,13 @@ use areoid_cache::{Selection, View};
 use areoid_formats::body::Body;
 use areoid_formats::units::{Degrees, Meters};
 use areoid_viewer::camera::Pose;
-use areoid_viewer::{Aovs, Gpu, Light, Options, Renderer};
-use image::{ImageBuffer, ImageFormat, RgbaImage};
+use areoid_viewer::{Aovs, Gpu, Options, Renderer};
 use serde_json::json;
 
 use crate::args::{numbers, position};
 use crate::failure::Failure;
 use crate::place::Source;
+use crate::shot::{Shot, png};
 use crate::{npy, output};
 
 /// Draw one picture, complete: wait until every page the view needs is there.
@@ -42,25 +41,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "LON,LAT[,H_M]", allow_hyphen_values = true, value_parser = target)]
     target: Option<[f64; 3]>,
 
-    /// Size of the picture in pixels.
-    #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = size)]
-    size: [u32; 2],
-
-    /// The angle between the lower and the upper edge of the picture.
-    #[arg(long, value_name = "DEGREES", default_value_t = 45.0)]
-    fov_deg: f64,
-
-    /// How far heights may be off on the screen, and how large the texels of a color may be.
-    #[arg(long, value_name = "PIXELS", default_value_t = 1.0)]
-    tolerance_px: f64,
-
-    /// Where the sun stands in the zenith, in degrees [default: 45° west and 30° north of the eye].
-    #[arg(long, value_name = "LON,LAT", allow_hyphen_values = true, value_parser = numbers::<2>)]
-    sun: Option<[f64; 2]>,
-
-    /// Memory for pages, in mebibytes.
-    #[arg(long, value_name = "MIB", default_value_t = 1024)]
-    memory_mib: usize,
+    #[command(flatten)]
+    shot: Shot,
 
     /// Where to write the picture, a PNG.
     #[arg(short, long, value_name = "F.png")]
@@ -85,18 +67,14 @@ enum Aov {
     Depth,
 }
 
-/// Pixels of the largest picture: its deferred buffer takes 40 bytes a pixel.
-const MOST_PIXELS: u32 = 8192 * 2048;
-
-/// Light from everywhere, so that the night side is not black.
-const AMBIENT: f64 = 0.06;
-
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
-        self.check()?;
-        let cache = self.source.open(self.memory_mib)?;
+        self.shot.check()?;
+        let quality = self.shot.quality;
+        let cache = self.source.open(quality.memory_mib)?;
         let view = self.view(cache.body())?;
-        let light = self.light()?;
+        let [longitude, latitude, _] = self.eye;
+        let light = self.shot.light([longitude, latitude])?;
 
         let gpu = Gpu::headless()?;
         let mut renderer = Renderer::new(&gpu, cache.body().ellipsoid);
@@ -106,14 +84,11 @@ impl Args {
             let name = &selection.datasets[failed.dataset].name;
             output::say(format_args!("warning: {name}/{}: {}", failed.page, failed.error));
         }
-        let statistics = renderer.render(&view, &selection, &light, &Options::default());
+        let options =
+            Options { vertical_exaggeration: self.shot.exaggeration, ..Options::default() };
+        let statistics = renderer.render(&view, &selection, &light, &options);
 
-        let picture = renderer.read_color();
-        let mut png = Cursor::new(Vec::new());
-        let picture: RgbaImage = ImageBuffer::from_raw(picture.width, picture.height, picture.rgba)
-            .expect("four samples a pixel");
-        picture.write_to(&mut png, ImageFormat::Png)?;
-        let mut files = vec![(self.output.clone(), png.into_inner())];
+        let mut files = vec![(self.output.clone(), png(renderer.read_color())?)];
         if !self.aov.is_empty() {
             let aovs = renderer.read_aovs();
             files.extend(self.aov.iter().map(|(aov, path)| (path.clone(), encode(*aov, &aovs))));
@@ -128,7 +103,7 @@ impl Args {
             report["adapter"] = json!(gpu.description());
             output::json(&report)?;
         }
-        let unmet = selection.tolerance_px > self.tolerance_px || selection.missing > 0;
+        let unmet = selection.tolerance_px > quality.tolerance_px || selection.missing > 0;
         if unmet {
             output::say(format_args!(
                 "warning: --memory-mib is too little for this view: {} pages are missing, and the \
@@ -144,20 +119,6 @@ impl Args {
         Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
 
-    fn check(&self) -> Result<(), Failure> {
-        let misused = |reason: &str| Err(Failure::Misused(reason.to_owned()));
-        if !(self.fov_deg > 0.0 && self.fov_deg < 180.0) {
-            return misused("--fov-deg must lie between 0 and 180");
-        }
-        if !(self.tolerance_px > 0.0 && self.tolerance_px.is_finite()) {
-            return misused("--tolerance-px must be a positive number");
-        }
-        if self.memory_mib == 0 {
-            return misused("--memory-mib must be at least 1");
-        }
-        Ok(())
-    }
-
     fn view(&self, body: &Body) -> Result<View, Failure> {
         let [longitude, latitude, altitude] = self.eye;
         let at = position([longitude, latitude]).map_err(Failure::Misused)?;
@@ -170,15 +131,7 @@ impl Args {
             let [heading, pitch] = self.look.unwrap_or([0.0, -90.0]).map(Degrees);
             Pose::from_eye(ellipsoid, at, altitude, heading.into(), pitch.into())
         };
-        Ok(pose.view(Degrees(self.fov_deg).into(), self.size, self.tolerance_px))
-    }
-
-    fn light(&self) -> Result<Light, Failure> {
-        let [longitude, latitude, _] = self.eye;
-        let beside = [longitude - 45.0, (latitude + 30.0).clamp(-90.0, 90.0)];
-        let sun = position(self.sun.unwrap_or(beside)).map_err(Failure::Misused)?;
-        let toward_sun = areoid_formats::geodesy::surface_normal(sun);
-        Ok(Light { toward_sun, ambient: AMBIENT })
+        Ok(self.shot.view(pose))
     }
 }
 
@@ -192,6 +145,7 @@ fn report(selection: &Selection) -> serde_json::Value {
         "failed": selection.failed.len(),
         "bytes": bytes,
         "tolerance_px": selection.tolerance_px,
+        "error_px": selection.error_px,
         "visited": selection.visited,
         "culled": selection.culled,
     })
@@ -206,18 +160,6 @@ fn encode(aov: Aov, aovs: &Aovs) -> Vec<u8> {
         Aov::Level => npy::to_bytes(&[height, width], &aovs.level),
         Aov::Depth => npy::to_bytes(&[height, width], &aovs.depth_m),
     }
-}
-
-fn size(text: &str) -> Result<[u32; 2], String> {
-    let invalid = || {
-        format!("{text:?}: expected WIDTHxHEIGHT, each 1 to 8192, and at most {MOST_PIXELS} pixels")
-    };
-    let (width, height) = text.split_once('x').ok_or_else(invalid)?;
-    let side = |text: &str| {
-        text.parse::<u32>().ok().filter(|side| (1..=8192).contains(side)).ok_or_else(invalid)
-    };
-    let size = [side(width)?, side(height)?];
-    if size[0] * size[1] > MOST_PIXELS { Err(invalid()) } else { Ok(size) }
 }
 
 fn target(text: &str) -> Result<[f64; 3], String> {

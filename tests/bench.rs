@@ -177,3 +177,46 @@ fn serving_is_measured_beside_nginx_where_that_is_installed() {
     let measured = array(&report, "/targets").iter().filter(|one| one["measured"].is_f64());
     assert!(measured.count() >= 12 + 2, "{report}");
 }
+
+/// The viewer's book at a size that says nothing but that all of it is measured.
+#[cfg(feature = "viewer")]
+#[test]
+fn a_tiny_book_of_the_viewer_is_complete() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_areoid"))
+        .args(["bench", "view", "--json", "--megapixels", "0.1", "--size", "64x36"])
+        .args(["--rounds", "2", "--frames", "2", "-o"])
+        .arg(folder.path())
+        .current_dir(folder.path())
+        .env("XDG_RUNTIME_DIR", std::env::temp_dir())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let written = fs::read(folder.path().join("view.json")).unwrap();
+    assert_eq!(serde_json::from_slice::<Value>(&written).unwrap(), report);
+    let tables = fs::read_to_string(folder.path().join("view.md")).unwrap();
+    let adapter = report["options"]["adapter"].as_str().unwrap();
+    assert!(tables.contains(adapter), "{tables}");
+
+    let flights = array(&report, "/chapters/flights");
+    assert_eq!(flights.len(), 4);
+    for flight in flights {
+        assert_eq!(flight["summary"]["frames"], 2);
+        assert!(flight["summary"]["frames_per_s"].as_f64().unwrap() > 0.0, "{flight}");
+        assert!(tables.contains(flight["flight"].as_str().unwrap()));
+    }
+    let cost = &report["chapters"]["cost"];
+    assert!(cost["trivial_ms"]["median"].as_f64().unwrap() > 0.0);
+    let overlaps = array(cost, "/overlaps");
+    assert_eq!((overlaps.len(), array(cost, "/poles").len()), (4, 6));
+    assert_eq!(overlaps[0]["ratio"]["median"], 1.0);
+    assert!(overlaps[3]["wanted"].as_u64().unwrap() == 8 * overlaps[0]["wanted"].as_u64().unwrap());
+    let targets = array(&report, "/targets");
+    assert_eq!(targets.len(), 3);
+    for target in targets {
+        assert!(target["measured"].as_f64().unwrap() > 0.0, "{target}");
+        assert!(tables.contains(target["what"].as_str().unwrap()), "{target}");
+    }
+    assert!(!folder.path().join("work").exists(), "nothing but results and rasters stays");
+}

@@ -12,6 +12,10 @@ mod support {
     pub(crate) mod ray;
 }
 
+mod pictures {
+    mod flights;
+}
+
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;

@@ -16,6 +16,8 @@ pub(crate) struct Match {
     pub(crate) roots: Vec<Arc<ResidentPage>>,
     pub(crate) missing: usize,
     pub(crate) failed: Vec<FailedPage>,
+    /// The largest error of `pages`; infinite where there is none for a wanted one.
+    pub(crate) error_px: f64,
 }
 
 /// Room for comparing, kept from one to the next.
@@ -78,14 +80,18 @@ impl Matcher {
             let mut next = Some(wanted);
             // Until something can still be had, the one above would be the best there is.
             let mut is_best = true;
+            let mut is_shown = false;
             while let Some(place) = next {
                 let seen = &found.seen[place];
                 if self.marks[place].used {
+                    is_shown = true;
                     break;
                 }
                 let name = seen.name(scene);
                 if let Some(page) = store.touch(name) {
                     self.marks[place].used = true;
+                    is_shown = true;
+                    result.error_px = result.error_px.max(seen.pixels);
                     result.pages.push(page);
                     break;
                 }
@@ -101,6 +107,9 @@ impl Matcher {
                     None => {}
                 }
                 next = seen.parent;
+            }
+            if !is_shown {
+                result.error_px = f64::INFINITY;
             }
         }
         self.ask_for_few(scene, found, store);

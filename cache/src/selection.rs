@@ -137,6 +137,10 @@ pub struct Selection {
     /// budget forces it. Of several views, the first one's; those of the others are by as much
     /// coarser.
     pub tolerance_px: f64,
+    /// At most what a height of `pages` is off by, or how large a texel of theirs is that should be
+    /// smaller, in pixels of the first view: stand-ins and what the budget forces included. Infinite
+    /// where nothing stands in for a page that is missing.
+    pub error_px: f64,
     /// Nodes of the tree over the datasets, and pages, that the search looked at.
     pub visited: usize,
     /// Pages that the search ended in: `pages` once none is missing.

@@ -88,6 +88,7 @@ impl Session {
             missing: 0,
             failed: Vec::new(),
             tolerance_px: f64::INFINITY,
+            error_px: f64::INFINITY,
             visited: 0,
             wanted: 0,
             culled: 0,
@@ -255,7 +256,7 @@ impl Session {
             }
         }
         let Showing { found, .. } = &self.shown;
-        let Match { pages, mut roots, missing, failed } = matched;
+        let Match { pages, mut roots, missing, failed, mut error_px } = matched;
         let stats = &mut store.stats;
         stats.hits += (found.wanted.len() - missing.min(found.wanted.len())) as u64;
         stats.misses += missing as u64;
@@ -267,6 +268,10 @@ impl Session {
         }
 
         let Showing { scene, found } = &self.shown;
+        // Roots for which there is no room are not among those found.
+        if self.views.first().is_some_and(|view| found.tolerance_px > view.tolerance_px) {
+            error_px = error_px.max(found.tolerance_px);
+        }
         let before = &self.last;
         let same_pages = before.pages.len() == pages.len()
             && before.pages.iter().zip(&pages).all(|(one, other)| Arc::ptr_eq(one, other));
@@ -293,6 +298,7 @@ impl Session {
             missing,
             failed,
             tolerance_px: found.tolerance_px,
+            error_px,
             visited: found.visited,
             wanted: found.wanted.len(),
             culled: found.culled,

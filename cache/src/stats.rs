@@ -6,6 +6,8 @@
 pub struct Stats {
     /// Pages read and decoded.
     pub loads: u64,
+    /// Bytes of theirs as they are stored.
+    pub loaded_bytes: u64,
     /// Blocks of an index asked for.
     pub index_loads: u64,
     /// Wanted pages that were in memory, summed over updates.

@@ -18,7 +18,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use areoid_formats::address::PageAddress;
-use areoid_formats::archive::PageEntry;
+use areoid_formats::archive::{PageEntry, Payload};
 use lru::LruCache;
 use rustc_hash::{FxBuildHasher, FxHashMap};
 use tokio::time::Instant;
@@ -284,6 +284,9 @@ impl Store {
             Outcome::Loaded(None) => self.stats.index_loads += 1,
             Outcome::Loaded(Some(page)) => {
                 self.stats.loads += 1;
+                if let Payload::Record { length, .. } = page.entry.payload {
+                    self.stats.loaded_bytes += u64::from(length);
+                }
                 let bytes = page.page.bytes();
                 assert!(bytes <= reserved, "a page of {bytes} bytes was promised {reserved}");
                 // Somebody may have come to need it meanwhile.

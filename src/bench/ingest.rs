@@ -224,7 +224,7 @@ pub(super) fn stem(path: &Path) -> String {
 
 /// Width and height of a global map of nearly so many megapixels that halves evenly down to its
 /// coarsest level, which may have three pages in a row.
-fn global_size(megapixels: f64) -> (u32, u32) {
+pub(super) fn global_size(megapixels: f64) -> (u32, u32) {
     const ROOT_COLS: f64 = 1530.0;
     let width = (2e6 * megapixels).sqrt();
     let halvings = (width / ROOT_COLS).log2().ceil().max(0.0);

@@ -26,6 +26,8 @@ mod size;
 mod terrain;
 mod tightness;
 mod timing;
+#[cfg(feature = "viewer")]
+mod view;
 mod warp;
 mod waves;
 
@@ -44,6 +46,8 @@ pub(crate) struct Args {
 enum Book {
     Ingest(ingest::Args),
     Cache(cache::Args),
+    #[cfg(feature = "viewer")]
+    View(view::Args),
     #[command(hide = true)]
     Decode(decode::Args),
     #[command(hide = true)]
@@ -55,6 +59,8 @@ impl Args {
         match self.book {
             Book::Ingest(args) => args.run(),
             Book::Cache(args) => args.run(),
+            #[cfg(feature = "viewer")]
+            Book::View(args) => args.run(),
             Book::Decode(args) => args.run(),
             Book::Resample(args) => args.run(),
         }

@@ -8,6 +8,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::peers::Peers;
+pub(super) use crate::quantile::quantile;
 
 /// Least, median and greatest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -31,17 +32,6 @@ impl Spread {
         let Self { median, min, max } = self;
         format!("{median:.digits$} ({min:.digits$}–{max:.digits$})")
     }
-}
-
-/// A quantile of sorted figures, between two of them where it falls there.
-pub(super) fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
-    let place = share * last as f64;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index")]
-    let below = place.floor() as usize;
-    let (low, high) = (sorted[below], sorted[(below + 1).min(last)]);
-    // Equal ends may be infinite.
-    if low == high { low } else { low + (high - low) * (place - below as f64) }
 }
 
 /// Which side of its limit a figure should be on.
@@ -239,13 +229,6 @@ mod tests {
         assert_eq!(date(0), "1970-01-01");
         assert_eq!(date(11_016), "2000-02-29");
         assert_eq!(date(20_454), "2026-01-01");
-    }
-
-    #[test]
-    fn quantiles_lie_between_figures() {
-        assert_eq!(quantile(&[1.0, 2.0, 4.0], 0.5), 2.0);
-        assert_eq!(quantile(&[1.0, 2.0, 4.0, 8.0], 0.5), 3.0);
-        assert_eq!(quantile(&[1.0, f64::INFINITY, f64::INFINITY], 0.9), f64::INFINITY);
     }
 
     #[test]

@@ -13,6 +13,7 @@ use host::CacheHost;
 use crate::args::{numbers, position};
 use crate::failure::Failure;
 use crate::place::Source;
+use crate::shot::Quality;
 
 /// Show a catalog in a window.
 ///
@@ -39,33 +40,25 @@ pub(crate) struct Args {
     )]
     start: [f64; 2],
 
-    /// How far heights may be off on the screen, and how large the texels of a color may be.
-    #[arg(long, value_name = "PIXELS", default_value_t = 1.0)]
-    tolerance_px: f64,
+    #[command(flatten)]
+    quality: Quality,
 
     /// How datasets take part at first: weights, order, ramp, as the README has it.
     #[arg(long, value_name = "F.json")]
     style: Option<PathBuf>,
-
-    /// Memory for pages, in mebibytes.
-    #[arg(long, value_name = "MIB", default_value_t = 1024)]
-    memory_mib: usize,
 }
 
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
-        if !(self.tolerance_px > 0.0 && self.tolerance_px.is_finite()) || self.memory_mib == 0 {
-            let reason = "--tolerance-px and --memory-mib must be positive";
-            return Err(Failure::Misused(reason.to_owned()));
-        }
+        self.quality.check()?;
         let start = position(self.start).map_err(Failure::Misused)?;
         let style = self.style.as_deref().map(read_style).transpose()?.unwrap_or_default();
-        let cache = self.source.open(self.memory_mib)?;
+        let cache = self.source.open(self.quality.memory_mib)?;
         let window = WindowOptions {
             title: format!("Areoid: {}", self.source.name()),
             ellipsoid: cache.body().ellipsoid,
             start,
-            tolerance_px: self.tolerance_px,
+            tolerance_px: self.quality.tolerance_px,
             style,
         };
         run(window, CacheHost::new(cache, self.source.folder()))?;

@@ -74,6 +74,15 @@ impl Gpu {
         Ok(Self { adapter, device, queue })
     }
 
+    /// Waits until the device has done what it was told so far.
+    ///
+    /// # Panics
+    ///
+    /// If the device is lost.
+    pub fn wait(&self) {
+        self.device.poll(wgpu::PollType::wait_indefinitely()).expect("the device answers");
+    }
+
     /// The adapter's name and interface, for people.
     #[must_use]
     pub fn description(&self) -> String {

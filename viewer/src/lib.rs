@@ -34,6 +34,8 @@ mod atlas;
 
 mod render;
 
+pub mod yardstick;
+
 pub mod window;
 
 #[cfg(test)]

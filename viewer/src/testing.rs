@@ -102,6 +102,7 @@ impl Planet {
             missing: 0,
             failed: Vec::new(),
             tolerance_px: 1.0,
+            error_px: 1.0,
             visited: 0,
             culled: 0,
         }

@@ -79,8 +79,8 @@ fn the_best_ancestor_stands_in() {
     let mut session = cache.session();
     globe.gate.allow(Some(0));
     let empty = session.update(&near);
-    assert!(empty.pages.is_empty());
-    let mut last = empty;
+    assert!(empty.pages.is_empty() && empty.error_px.is_infinite());
+    let (mut last, mut worst_px) = (empty, 0.0_f64);
     while last.missing > 0 {
         globe.gate.allow(Some(1));
         while !session.has_news() {
@@ -119,9 +119,16 @@ fn the_best_ancestor_stands_in() {
         if addresses(&now) != addresses(&last) {
             assert!(now.generation > last.generation);
         }
+        assert!(now.error_px <= last.error_px, "{} after {}", now.error_px, last.error_px);
+        if now.error_px.is_finite() {
+            worst_px = worst_px.max(now.error_px);
+        }
         last = now;
     }
     assert_eq!(addresses(&last), addresses(&target));
+    assert_eq!(last.error_px, target.error_px);
+    let tolerance = near.tolerance_px;
+    assert!(last.error_px <= tolerance && worst_px > tolerance, "{} {worst_px}", last.error_px);
     let again = session.update(&near);
     assert_eq!(again.generation, last.generation);
 }
@@ -172,6 +179,11 @@ fn only_what_the_view_needs_is_read() {
     let wanted: HashSet<_> = addresses(&settled).into_iter().collect();
     let all = with_ancestors(&settled);
     assert!(wanted.is_subset(&read) && read.is_subset(&all), "{read:?} of {all:?}");
+    let lengths = globe.entries.iter().filter(|entry| read.contains(&entry.page)).map(|entry| {
+        let Payload::Record { length, .. } = entry.payload else { return 0 };
+        u64::from(length)
+    });
+    assert_eq!(cache.stats().loaded_bytes, lengths.sum::<u64>());
     // Of the ancestors, every other one.
     assert!(read.len() < all.len(), "{} of {}", read.len(), all.len());
 }
@@ -240,6 +252,9 @@ fn a_lone_session_settles_on_any_budget() {
         for step in 0..8 {
             let settled = session.settle(&view(40.0 * f64::from(step), 10.0, 2e5, 60.0));
             assert_eq!(settled.missing, 0, "{pages} pages, {:?}", cache.stats());
+            let forced = settled.tolerance_px > 1.0;
+            assert!(forced == (settled.error_px > 1.0), "{}", settled.error_px);
+            assert!(settled.error_px <= settled.tolerance_px);
         }
     }
 }
@@ -491,6 +506,7 @@ fn a_height_is_that_of_the_finest_page() {
             missing: 0,
             failed: Vec::new(),
             tolerance_px: 1.0,
+            error_px: 1.0,
             visited: 0,
             wanted: 0,
             culled: 0,

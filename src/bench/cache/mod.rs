@@ -23,6 +23,9 @@ mod service;
 mod skipping;
 mod tree;
 
+#[cfg(feature = "viewer")]
+pub(super) use replay::clock;
+
 use std::fs;
 use std::io;
 use std::path::PathBuf;

@@ -55,7 +55,7 @@ pub(super) fn fly(
 }
 
 /// The time that this thread has run.
-pub(super) fn clock() -> Duration {
+pub(in crate::bench) fn clock() -> Duration {
     #[cfg(unix)]
     {
         use nix::time::{ClockId, clock_gettime};

@@ -111,6 +111,14 @@ impl Default for Relief {
     }
 }
 
+impl Options {
+    /// As a window draws: an upload is no longer than a frame can bear.
+    #[must_use]
+    pub fn interactive() -> Self {
+        Self { upload_limit_bytes: 16 << 20, ..Self::default() }
+    }
+}
+
 /// A picture: four bytes a pixel, red first, row by row from the top.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
@@ -131,6 +139,8 @@ pub struct FrameStatistics {
     pub triangles: usize,
     /// Pages written to the GPU.
     pub uploaded_pages: usize,
+    /// Bytes of their texels.
+    pub uploaded_bytes: u64,
     /// Pages put off to the next frame: draw again.
     pub pending_pages: usize,
     /// Pages that do not show wholly yet: draw again.
@@ -247,6 +257,7 @@ impl Renderer {
             patches: self.mesh.patches.len(),
             triangles: self.mesh.patches.len() * (SEGMENTS * SEGMENTS) as usize,
             uploaded_pages: brought.map_or(0, |brought| brought.uploaded),
+            uploaded_bytes: brought.map_or(0, |brought| brought.uploaded_bytes),
             pending_pages: brought.map_or(0, |brought| brought.put_off),
             coming_pages: brought.map_or(0, |brought| brought.coming),
             left_out_pages: self.known.as_ref().map_or(0, |known| known.brought.left_out),

@@ -56,6 +56,8 @@ pub(crate) struct Resident {
 pub(crate) struct Brought {
     /// Pages written to the GPU.
     pub(crate) uploaded: usize,
+    /// Bytes of their texels in memory.
+    pub(crate) uploaded_bytes: u64,
     /// Pages put off to the next frame by the limit on uploads.
     pub(crate) put_off: usize,
     /// Pages without a slot: their ancestors stand in.
@@ -127,6 +129,7 @@ impl Resident {
             } else {
                 left_bytes = left_bytes.saturating_sub(bytes);
                 brought.uploaded += 1;
+                brought.uploaded_bytes += bytes;
                 atlas.place(gpu, name, &page.page)
             };
             let Some(slot) = slot else {
