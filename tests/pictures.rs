@@ -12,8 +12,8 @@ mod support {
     pub(crate) mod ray;
 }
 
-mod pictures {
-    mod flights;
+mod flight {
+    mod fly;
 }
 
 use std::path::{Path, PathBuf};

@@ -18,9 +18,8 @@ const LOOKS: [[f64; 2]; 3] = [[0.0, -90.0], [-60.0, -50.0], [10.0, -25.0]];
 
 /// A flight of two seconds in `folder`, with a key for each of its eyes.
 fn flight(folder: &Path) -> std::path::PathBuf {
-    let keys: Vec<Value> = (0..3)
-        .map(|key| json!({ "seconds": key, "eye": EYES[key], "look": LOOKS[key] }))
-        .collect();
+    let keys: Vec<Value> =
+        (0..3).map(|key| json!({ "seconds": key, "eye": EYES[key], "look": LOOKS[key] })).collect();
     let path = folder.join("flight.json");
     fs::write(&path, json!({ "keys": keys }).to_string()).unwrap();
     path
@@ -51,8 +50,8 @@ fn a_film_is_made_of_the_pictures_of_its_eyes_and_its_report_says_all() {
     let frames = report.as_object_mut().unwrap().remove("frames").unwrap();
     assert_eq!(serde_json::from_slice::<Value>(&output.stdout).unwrap(), report);
     for time in ["update_ms", "render_ms", "gpu_ms", "frame_ms"] {
-        let [median, p95, p99, max] = ["median", "p95", "p99", "max"]
-            .map(|of| report["summary"][time][of].as_f64().unwrap());
+        let [median, p95, p99, max] =
+            ["median", "p95", "p99", "max"].map(|of| report["summary"][time][of].as_f64().unwrap());
         assert!(0.0 < median && median <= p95 && p95 <= p99 && p99 <= max, "{time}: {report}");
     }
     let frames = frames.as_array().unwrap();
