@@ -114,7 +114,9 @@ impl Args {
             output::write_file(report, &bytes)?;
         }
         if self.json {
-            document.as_object_mut().map(|document| document.remove("frames"));
+            if let Some(document) = document.as_object_mut() {
+                document.remove("frames");
+            }
             output::json(&document)?;
         } else {
             output::line(summary.text(&gpu.description(), self.shot.size, flight.seconds()))?;

@@ -3,11 +3,13 @@
 //! All that is compared is drawn in turn, round after round, so that what else the machine does
 //! meets all alike; ratios are those of a round.
 
+use std::path::Path;
+
 use areoid_viewer::yardstick::Yardstick;
 use serde_json::{Value, json};
 
 use super::Setting;
-use super::stage::{Cost, Spot, Stage, trivial};
+use super::stage::{Cost, OVER, Spot, Stage, trivial};
 use super::world::{cache, datasets};
 use crate::bench::report::{Chapter, Relation, Spread, Table, Target};
 use crate::failure::Failure;
@@ -17,9 +19,6 @@ const TIMES: [usize; 4] = [1, 2, 4, 8];
 
 /// Meters from which a pole and the equator are looked at.
 const ALTITUDES_M: [f64; 3] = [1e5, 5e5, 2.5e6];
-
-/// The ground fills the picture.
-const OVER: Spot = Spot { position: [20.0, 10.0], altitude_m: 4e5, look: [0.0, -90.0] };
 
 const PLENTY: usize = 2 << 30;
 
@@ -32,21 +31,17 @@ pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
     let (gpu, size) = (&setting.gpu, setting.size);
     let whole = setting.world.whole()?;
     let split = setting.world.split()?;
-    let many = TIMES
-        .iter()
-        .map(|&times| Ok(Stage::new(gpu, cache(datasets(&whole, times)?, PLENTY)?, size, OVER)));
+    let stage = |catalog: &Path, times, spot| -> Result<Stage, Failure> {
+        Ok(Stage::new(gpu, cache(datasets(catalog, times)?, PLENTY)?, size, spot))
+    };
+    let many = TIMES.iter().map(|&times| stage(&whole, times, OVER));
     let mut many: Vec<Stage> = many.collect::<Result<_, Failure>>()?;
     let spots = ALTITUDES_M.iter().flat_map(|&altitude_m| {
-        [0.0, 90.0].map(|latitude| Spot {
-            position: [20.0, latitude],
-            altitude_m,
-            look: [0.0, -90.0],
-        })
+        [0.0, 90.0].map(|latitude| Spot { position: [20.0, latitude], altitude_m, ..OVER })
     });
-    let ends =
-        spots.map(|spot| Ok(Stage::new(gpu, cache(datasets(&split, 1)?, PLENTY)?, size, spot)));
+    let ends = spots.map(|spot| stage(&split, 1, spot));
     let mut ends: Vec<Stage> = ends.collect::<Result<_, Failure>>()?;
-    let mut usual = Stage::new(gpu, cache(datasets(&whole, 1)?, PLENTY)?, size, OVER);
+    let mut usual = stage(&whole, 1, OVER)?;
     let usual_spot = nearest(&mut usual);
 
     let yardstick = Yardstick::new(gpu, size);

@@ -12,7 +12,7 @@ use areoid_viewer::camera::Pose;
 use serde_json::json;
 
 use super::Setting;
-use super::stage::{Cost, Spot, Stage};
+use super::stage::{Cost, OVER, Stage};
 use super::world::{cache, datasets};
 use crate::bench::report::{Chapter, Relation, Spread, Table, Target};
 use crate::failure::Failure;
@@ -27,8 +27,6 @@ const BLOCKS: u32 = 5;
 const PAUSE: Duration = Duration::from_millis(100);
 
 const LIMIT: f64 = 1.2;
-
-const OVER: Spot = Spot { position: [20.0, 10.0], altitude_m: 4e5, look: [0.0, -90.0] };
 
 pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
     let whole = setting.world.whole()?;

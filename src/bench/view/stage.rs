@@ -19,6 +19,9 @@ pub(super) struct Spot {
     pub(super) look: [f64; 2],
 }
 
+/// The ground fills the picture.
+pub(super) const OVER: Spot = Spot { position: [20.0, 10.0], altitude_m: 4e5, look: [0.0, -90.0] };
+
 /// What a frame took.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cost {
