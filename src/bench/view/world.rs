@@ -77,7 +77,7 @@ pub(super) fn datasets(catalog: &Path, times: usize) -> Result<(Body, Vec<Named>
             let info = DatasetInfo {
                 name: format!("{}-{number}", description.dataset),
                 kind: description.kind,
-                grid: description.grid,
+                grid: description.grid.clone(),
                 priority: description.priority,
             };
             (info, Arc::clone(&archive))
