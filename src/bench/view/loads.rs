@@ -46,7 +46,7 @@ pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
             thread::sleep(PAUSE);
             let costs: &mut Vec<Cost> = if block % 2 == 1 { &mut with } else { &mut without };
             let before = stage.cache().stats().loads;
-            costs.extend((0..each).map(|number| stage.frame(2 + number)));
+            costs.extend((0..each).map(|number| stage.frame(1 + number)));
             if block % 2 == 1 {
                 loaded += stage.cache().stats().loads - before;
                 loading_s += costs[costs.len() - each as usize..]

@@ -74,9 +74,8 @@ impl Stage {
     fn settle(&mut self) {
         let view = self.view(0);
         drop(self.session.settle(&view));
-        // One more for what a driver does at the first time.
+        // A driver does more at the first time.
         self.frame(0);
-        self.frame(1);
     }
 
     /// Draws the frame of a number.
