@@ -39,7 +39,7 @@ pub(crate) struct Shot {
     pub(crate) quality: Quality,
 
     /// Factor on heights, which multiplies their errors, too.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    #[arg(long, value_name = "FACTOR", allow_hyphen_values = true, default_value_t = 1.0)]
     pub(crate) exaggeration: f64,
 
     /// Where the sun stands in the zenith, in degrees [default: 45° west and 30° north of the eye,

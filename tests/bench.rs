@@ -185,7 +185,7 @@ fn a_tiny_book_of_the_viewer_is_complete() {
     let folder = tempfile::tempdir().unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_areoid"))
         .args(["bench", "view", "--json", "--megapixels", "0.1", "--size", "64x36"])
-        .args(["--rounds", "2", "--frames", "2", "-o"])
+        .args(["--rounds", "2", "--frames", "2", "--pace", "fast", "-o"])
         .arg(folder.path())
         .current_dir(folder.path())
         .env("XDG_RUNTIME_DIR", std::env::temp_dir())

@@ -20,7 +20,8 @@ use serde_json::json;
 
 use self::figures::{Frame, Summary};
 use self::film::Film;
-use self::replay::{Pace, Replay};
+pub(crate) use self::replay::Pace;
+use self::replay::Replay;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output;

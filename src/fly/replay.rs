@@ -18,7 +18,7 @@ use crate::shot::Shot;
 
 /// When a frame is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub(super) enum Pace {
+pub(crate) enum Pace {
     /// When its time has come, with the pages that are there: what a window shows. Late frames
     /// follow at once; none is left out.
     Real,

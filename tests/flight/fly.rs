@@ -36,6 +36,14 @@ fn read(path: &Path) -> Value {
     serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
 }
 
+/// The names of what is in a folder.
+fn listing(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).unwrap().map(Result::unwrap);
+    let mut names: Vec<_> = entries.map(|entry| entry.file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
 #[test]
 fn a_film_is_made_of_the_pictures_of_its_eyes_and_its_report_says_all() {
     let folder = TempDir::new().unwrap();
@@ -79,10 +87,8 @@ fn a_film_is_made_of_the_pictures_of_its_eyes_and_its_report_says_all() {
     assert_eq!(seen, number(&report["summary"], "uploaded_pages"));
     assert!(seen >= number(&frames[2], "wanted"), "{seen} pages were uploaded");
 
-    let mut names: Vec<_> =
-        fs::read_dir(path("film")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
-    names.sort();
-    assert_eq!(names, [0, 1, 2].map(|number| format!("frame-0000{number}.png")).map(Into::into));
+    let names = listing(&path("film"));
+    assert_eq!(names, [0, 1, 2].map(|number| format!("frame-0000{number}.png")));
     let list = |numbers: &[f64]| numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
     for ((eye, look), name) in EYES.iter().zip(&LOOKS).zip(names) {
         let mut command = areoid();
@@ -130,15 +136,7 @@ fn what_cannot_be_flown_is_told_and_leaves_nothing() {
     fs::write(path("report.json"), "mine").unwrap();
     fs::create_dir(path("mine")).unwrap();
     fs::write(path("mine/notes.txt"), "mine").unwrap();
-    let listing = || {
-        let mut names: Vec<_> = fs::read_dir(folder.path())
-            .unwrap()
-            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-            .collect();
-        names.sort();
-        names
-    };
-    let before = listing();
+    let before = listing(folder.path());
     let catalog = CATALOG.1.as_os_str();
     let text = |name: &str| path(name).to_str().unwrap().to_owned();
     let [report, mine, film] = ["report.json", "mine", "film"].map(text);
@@ -164,7 +162,7 @@ fn what_cannot_be_flown_is_told_and_leaves_nothing() {
         assert_eq!(status.code(), Some(code), "{name} {options:?}: {said}");
         assert!(said.contains(why), "{name} {options:?}: {said}");
         assert_eq!(stdout, b"");
-        assert_eq!(listing(), before);
+        assert_eq!(listing(folder.path()), before);
     }
     assert_eq!(fs::read(path("report.json")).unwrap(), b"mine");
 
@@ -176,7 +174,7 @@ fn what_cannot_be_flown_is_told_and_leaves_nothing() {
     assert_eq!(fs::read_dir(path("film")).unwrap().count(), 3);
     run(film(&["--frames", "2", "--force"]).arg("--png").arg(path("film")));
     assert_eq!(fs::read_dir(path("film")).unwrap().count(), 2);
-    assert_eq!(listing().len(), before.len() + 1);
+    assert_eq!(listing(folder.path()).len(), before.len() + 1);
 }
 
 #[cfg(unix)]

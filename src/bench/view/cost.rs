@@ -39,28 +39,30 @@ pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
     let spots = ALTITUDES_M.iter().flat_map(|&altitude_m| {
         [0.0, 90.0].map(|latitude| Spot { position: [20.0, latitude], altitude_m, ..OVER })
     });
-    let ends = spots.map(|spot| stage(&split, 1, spot));
-    let mut ends: Vec<Stage> = ends.collect::<Result<_, Failure>>()?;
-    let mut usual = stage(&whole, 1, OVER)?;
-    let usual_spot = nearest(&mut usual);
+    let spots: Vec<Spot> = spots.collect();
+    let mut globe = stage(&split, 1, spots[0])?;
+    let usual_spot = nearest(&mut many[0]);
 
     let yardstick = Yardstick::new(gpu, size);
     trivial(gpu, &yardstick);
-    let stages = 1 + many.len() + ends.len() + 1;
-    let mut all: Vec<Vec<Cost>> = vec![Vec::new(); stages];
-    for round in 0..setting.rounds {
-        let stages = many.iter_mut().chain(&mut ends).chain([&mut usual]);
-        let drawn = stages.map(|stage| stage.frame(1 + round));
-        let costs = std::iter::once(trivial(gpu, &yardstick)).chain(drawn);
-        all.iter_mut().zip(costs).for_each(|(costs, cost)| costs.push(cost));
+    let (mut yard, mut usual) = (Vec::new(), Vec::new());
+    let (mut drawn, mut ends) = (vec![Vec::new(); TIMES.len()], vec![Vec::new(); spots.len()]);
+    for round in 1..=setting.rounds {
+        yard.push(trivial(gpu, &yardstick));
+        usual.push(many[0].at(usual_spot, round));
+        many[0].turn(OVER);
+        for (stage, costs) in many.iter_mut().zip(&mut drawn) {
+            costs.push(stage.frame(round));
+        }
+        for (spot, costs) in spots.iter().zip(&mut ends) {
+            costs.push(globe.at(*spot, round));
+        }
     }
-    let (yard, drawn) = all.split_first().expect("there is a yardstick");
-    let (many, rest) = drawn.split_at(TIMES.len());
-    let (ends, usual) = rest.split_at(2 * ALTITUDES_M.len());
 
     let names = TIMES.iter().map(|times| format!("{times} of heights and {times} of colors"));
     let overlaps: Vec<Line> =
-        names.zip(many).map(|(name, costs)| Line::new(name, costs, &many[0], yard)).collect();
+        names.zip(&drawn).map(|(name, costs)| Line::new(name, costs, &drawn[0], &yard)).collect();
+    let yard = &yard;
     let poles = ALTITUDES_M.iter().zip(ends.chunks(2)).flat_map(|(altitude, pair)| {
         ["equator", "pole"].into_iter().zip(pair).map(move |(place, costs)| {
             let name = format!("{place}, from {:.0} km", altitude / 1e3);
@@ -69,7 +71,7 @@ pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
     });
     let poles: Vec<Line> = poles.collect();
     let worst = poles.iter().map(|line| line.over.median).fold(0.0, f64::max);
-    let cpu = Cpu::new(&usual[0]);
+    let cpu = Cpu::new(&usual);
     let mut notes = vec![setting.drawn_with()];
     notes.push(
         "Everything is in memory, and the eye moves by a pixel a frame. Milliseconds are those of \
@@ -117,8 +119,7 @@ fn nearest(stage: &mut Stage) -> Spot {
     for altitude_m in [3e6, 1e6, 3e5, 1e5] {
         for pitch in [-90.0, -30.0] {
             let spot = Spot { altitude_m, look: [0.0, pitch], ..OVER };
-            stage.turn(spot);
-            let off = stage.frame(1).patches.abs_diff(PATCHES);
+            let off = stage.at(spot, 1).patches.abs_diff(PATCHES);
             if off < best.0 {
                 best = (off, spot);
             }

@@ -79,6 +79,7 @@ pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
         let mut command = Command::new(std::env::current_exe()?);
         command.arg("fly").arg(&catalog).arg("--path").arg(&path).arg("--json");
         command.args(["--size", &format!("{width}x{height}")]);
+        command.args(["--pace", &setting.pace.to_string()]);
         if let Some(frames) = setting.frames {
             command.args(["--frames", &frames.to_string()]);
         }
@@ -103,12 +104,14 @@ pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
         notes: vec![
             setting.drawn_with(),
             over,
-            "In real time, each frame with the pages that are there (`areoid fly --pace real`). \
-             Frames a second are frames over the time spent on them, waiting for their turn left \
-             out. *Frames lacking pages* were drawn with coarser ones; the error counts these. The \
-             scenes are those that the texts name, on other data and other machines; the frame \
-             rates that the texts publish were not at hand, hence the dashes."
-                .to_owned(),
+            format!(
+                "Flown by `areoid fly --pace {}`. Frames a second are frames over the time spent on \
+                 them, waiting for their turn left out. *Frames lacking pages* were drawn with \
+                 coarser ones, which the error counts. The scenes are those that the texts name, on \
+                 other data and other machines; the frame rates that the texts publish were not at \
+                 hand, hence the dashes.",
+                setting.pace
+            ),
         ],
         tables: vec![Table { title: "Frame by frame".to_owned(), head: HEAD.to_vec(), rows }],
         targets: Vec::new(),

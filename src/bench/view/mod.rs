@@ -24,6 +24,7 @@ use super::peers::Peers;
 use super::report::{Chapter, Report};
 use super::timing;
 use crate::failure::Failure;
+use crate::fly::Pace;
 use crate::output;
 use crate::shot;
 
@@ -54,6 +55,10 @@ pub(super) struct Args {
     /// Frames of each flight [default: 30 for every second of it].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     frames: Option<u32>,
+
+    /// When a frame of a flight is drawn.
+    #[arg(long, value_enum, value_name = "PACE", default_value_t = Pace::Real)]
+    pace: Pace,
 
     /// How often each frame of the other chapters is drawn.
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..))]
@@ -86,6 +91,7 @@ struct Setting {
     catalog: Option<String>,
     size: [u32; 2],
     frames: Option<u32>,
+    pace: Pace,
     rounds: u32,
 }
 
@@ -101,6 +107,7 @@ impl Args {
             catalog: self.catalog,
             size: self.size,
             frames: self.frames,
+            pace: self.pace,
             rounds: self.rounds,
         };
         let all = [ChapterArg::Flights, ChapterArg::Cost, ChapterArg::Loads];
@@ -117,7 +124,7 @@ impl Args {
         timing::remove(&self.output.join("work"))?;
         let options = json!({
             "adapter": setting.gpu.description(), "size": self.size, "rounds": self.rounds,
-            "megapixels": self.megapixels, "catalog": setting.catalog,
+            "megapixels": self.megapixels, "pace": self.pace.to_string(), "catalog": setting.catalog,
         });
         let title = "The viewer, measured";
         let report = Report { title, options, peers: Peers::none(), chapters };

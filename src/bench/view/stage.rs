@@ -67,6 +67,12 @@ impl Stage {
         self.settle();
     }
 
+    /// Turns to a spot and draws its frame of a number.
+    pub(super) fn at(&mut self, spot: Spot, number: u32) -> Cost {
+        self.turn(spot);
+        self.frame(number)
+    }
+
     pub(super) fn cache(&self) -> &Cache {
         &self.cache
     }
