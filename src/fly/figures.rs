@@ -44,6 +44,8 @@ pub(super) struct Frame {
     pub(super) pending_pages: usize,
     /// Without room on the GPU.
     pub(super) left_out_pages: usize,
+    /// Whether it is the picture of the frame before, and nothing was drawn.
+    pub(super) is_same: bool,
     pub(super) patches: usize,
     pub(super) triangles: usize,
     /// The worst error shown, stand-ins included; nothing in JSON where a page has no stand-in.

@@ -87,7 +87,7 @@ impl Replay<'_> {
             let (view, begin) = (self.shot.view(pose), Instant::now());
             let selection = self.select(&mut session, &view);
             let selected = begin.elapsed();
-            let drawn = renderer.render(&view, &selection, &light, &self.options());
+            let drawn = renderer.render(&view, &selection, &light, &self.options(start));
             let encoded = begin.elapsed();
             self.gpu.wait();
             let done = begin.elapsed();
@@ -142,10 +142,12 @@ impl Replay<'_> {
         }
     }
 
-    fn options(&self) -> Options {
+    fn options(&self, start: Instant) -> Options {
         let options = match self.pace {
             Pace::Complete => Options::default(),
-            Pace::Real | Pace::Fast => Options::interactive(),
+            Pace::Real | Pace::Fast => {
+                Options { seconds: start.elapsed().as_secs_f64(), ..Options::interactive() }
+            }
         };
         Options { vertical_exaggeration: self.shot.exaggeration, ..options }
     }
@@ -164,6 +166,7 @@ fn shown(selection: &Selection, drawn: &FrameStatistics) -> Frame {
         uploaded_bytes: drawn.uploaded_bytes,
         pending_pages: drawn.pending_pages,
         left_out_pages: drawn.left_out_pages,
+        is_same: drawn.is_same,
         patches: drawn.patches,
         triangles: drawn.triangles,
         error_px: selection.error_px,
