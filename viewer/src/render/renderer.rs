@@ -112,10 +112,10 @@ impl Default for Relief {
 }
 
 impl Options {
-    /// As a window draws: an upload is no longer than a frame can bear.
+    /// As a window draws: an upload is no longer than a frame can bear, and what comes fades in.
     #[must_use]
     pub fn interactive() -> Self {
-        Self { upload_limit_bytes: 16 << 20, ..Self::default() }
+        Self { upload_limit_bytes: 16 << 20, fade_seconds: 0.25, ..Self::default() }
     }
 }
 

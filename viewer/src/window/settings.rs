@@ -47,9 +47,6 @@ pub(super) struct Settings {
 }
 
 const AMBIENT: f64 = 0.06;
-/// Bytes of pages to the GPU in a frame.
-const UPLOAD_LIMIT_BYTES: u64 = 16 << 20;
-const FADE_SECONDS: f64 = 0.25;
 
 impl Settings {
     pub(super) fn new(tolerance_px: f64, style: Style) -> Self {
@@ -90,15 +87,13 @@ impl Settings {
         }
         Options {
             vertical_exaggeration: self.exaggeration,
-            upload_limit_bytes: UPLOAD_LIMIT_BYTES,
             style,
             atmosphere: if self.has_air { Atmosphere::of(body) } else { None },
             relief: is_relief.then(Relief::default),
             exposure: self.exposure,
             debug: self.debug,
             seconds,
-            fade_seconds: FADE_SECONDS,
-            ..Options::default()
+            ..Options::interactive()
         }
     }
 
