@@ -1,12 +1,15 @@
 //! How pictures are taken: what `snapshot`, `fly` and `view` share.
 
-use std::io::Cursor;
+use std::io::{self, Cursor};
+use std::path::{Path, PathBuf};
 
 use areoid_cache::View;
+use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::surface_normal;
 use areoid_formats::units::Degrees;
 use areoid_viewer::camera::Pose;
-use areoid_viewer::{Image, Light};
+use areoid_viewer::sun::{days_of_utc, subsolar};
+use areoid_viewer::{Atmosphere, Image, Light, Options, Relief, Style};
 use image::{ImageBuffer, ImageError, ImageFormat, RgbaImage};
 
 use crate::args::{numbers, position};
@@ -25,7 +28,7 @@ pub(crate) struct Quality {
 }
 
 /// A camera without its place.
-#[derive(Clone, Copy, Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Shot {
     /// Size of the picture in pixels.
     #[arg(long, value_name = "WxH", default_value = "1280x720", value_parser = size)]
@@ -46,6 +49,26 @@ pub(crate) struct Shot {
     /// wherever that is].
     #[arg(long, value_name = "LON,LAT", allow_hyphen_values = true, value_parser = numbers::<2>)]
     sun: Option<[f64; 2]>,
+
+    /// Put the sun where it stood over the Earth or Mars at a time in UTC.
+    #[arg(long, value_name = "YYYY-MM-DD[THH:MM:SS]", value_parser = days, conflicts_with = "sun")]
+    date: Option<f64>,
+
+    /// Light from the northwest everywhere, as on maps.
+    #[arg(long, conflicts_with_all = ["sun", "date"])]
+    relief: bool,
+
+    /// Show the air of the Earth or Mars.
+    #[arg(long)]
+    atmosphere: bool,
+
+    /// Factor on light.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    exposure: f64,
+
+    /// How datasets take part: weights, order, luminance, colors by height, as the README has it.
+    #[arg(long, value_name = "F.json")]
+    style: Option<PathBuf>,
 }
 
 /// Pixels of the largest picture: its deferred buffer takes 40 bytes a pixel.
@@ -77,7 +100,35 @@ impl Shot {
         if let Some(sun) = self.sun {
             position(sun).map_err(Failure::Misused)?;
         }
+        if !(self.exposure > 0.0 && self.exposure.is_finite()) {
+            return misused("--exposure must be a positive number");
+        }
         self.quality.check()
+    }
+
+    /// How pictures of a body are drawn.
+    pub(crate) fn options(&self, body: &Ellipsoid) -> Result<Options, Failure> {
+        let known = |what: &str| {
+            Failure::Misused(format!(
+                "{what} is for the Earth and Mars: the catalog shows another body"
+            ))
+        };
+        let atmosphere = if self.atmosphere {
+            Some(Atmosphere::of(body).ok_or_else(|| known("--atmosphere"))?)
+        } else {
+            None
+        };
+        if self.date.is_some() && subsolar(body, 0.0).is_none() {
+            return Err(known("--date"));
+        }
+        Ok(Options {
+            vertical_exaggeration: self.exaggeration,
+            style: self.style.as_deref().map(read_style).transpose()?.unwrap_or_default(),
+            atmosphere,
+            relief: self.relief.then(Relief::default),
+            exposure: self.exposure,
+            ..Options::default()
+        })
     }
 
     /// What is seen from a pose.
@@ -86,9 +137,17 @@ impl Shot {
     }
 
     /// The light over an eye above a longitude and a latitude in degrees.
-    pub(crate) fn light(&self, [longitude, latitude]: [f64; 2]) -> Result<Light, Failure> {
+    pub(crate) fn light(
+        &self,
+        body: &Ellipsoid,
+        [longitude, latitude]: [f64; 2],
+    ) -> Result<Light, Failure> {
         let beside = [longitude - 45.0, (latitude + 30.0).clamp(-90.0, 90.0)];
-        let sun = position(self.sun.unwrap_or(beside)).map_err(Failure::Misused)?;
+        let dated = self.date.and_then(|days| subsolar(body, days));
+        let sun = match dated {
+            Some(sun) => sun,
+            None => position(self.sun.unwrap_or(beside)).map_err(Failure::Misused)?,
+        };
         Ok(Light { toward_sun: surface_normal(sun), ambient: AMBIENT })
     }
 }
@@ -100,6 +159,18 @@ pub(crate) fn png(picture: Image) -> Result<Vec<u8>, ImageError> {
         .expect("four samples a pixel");
     picture.write_to(&mut bytes, ImageFormat::Png)?;
     Ok(bytes.into_inner())
+}
+
+/// The style in a file.
+pub(crate) fn read_style(path: &Path) -> Result<Style, Failure> {
+    let text = std::fs::read_to_string(path).map_err(|source| {
+        io::Error::new(source.kind(), format!("cannot read {}: {source}", path.display()))
+    })?;
+    Ok(Style::from_json(&text)?)
+}
+
+fn days(text: &str) -> Result<f64, String> {
+    days_of_utc(text).ok_or_else(|| format!("{text:?}: expected a date in UTC"))
 }
 
 /// WIDTHxHEIGHT.

@@ -7,7 +7,7 @@ use areoid_cache::{Selection, View};
 use areoid_formats::body::Body;
 use areoid_formats::units::{Degrees, Meters};
 use areoid_viewer::camera::Pose;
-use areoid_viewer::{Aovs, Gpu, Options, Renderer};
+use areoid_viewer::{Aovs, Gpu, Renderer};
 use serde_json::json;
 
 use crate::args::{numbers, position};
@@ -74,7 +74,9 @@ impl Args {
         let cache = self.source.open(quality.memory_mib)?;
         let view = self.view(cache.body())?;
         let [longitude, latitude, _] = self.eye;
-        let light = self.shot.light([longitude, latitude])?;
+        let ellipsoid = &cache.body().ellipsoid;
+        let light = self.shot.light(ellipsoid, [longitude, latitude])?;
+        let options = self.shot.options(ellipsoid)?;
 
         let gpu = Gpu::headless()?;
         let mut renderer = Renderer::new(&gpu, cache.body().ellipsoid);
@@ -84,8 +86,6 @@ impl Args {
             let name = &selection.datasets[failed.dataset].name;
             output::say(format_args!("warning: {name}/{}: {}", failed.page, failed.error));
         }
-        let options =
-            Options { vertical_exaggeration: self.shot.exaggeration, ..Options::default() };
         let statistics = renderer.render(&view, &selection, &light, &options);
 
         let mut files = vec![(self.output.clone(), png(renderer.read_color())?)];

@@ -94,7 +94,7 @@ impl Args {
         let cache = self.source.open(self.shot.quality.memory_mib)?;
         let gpu = Gpu::headless()?;
         let replay =
-            Replay { flight: &flight, frames, pace: self.pace, shot: self.shot, gpu: &gpu };
+            Replay { flight: &flight, frames, pace: self.pace, shot: &self.shot, gpu: &gpu };
         let all = replay.run(&cache, &interrupt, |number, renderer| match &mut film {
             Some(film) => film.add(number, renderer.read_color()),
             None => Ok(()),

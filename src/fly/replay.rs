@@ -39,12 +39,12 @@ impl fmt::Display for Pace {
 }
 
 /// What is flown, and how.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Replay<'a> {
     pub(super) flight: &'a Flight,
     pub(super) frames: u32,
     pub(super) pace: Pace,
-    pub(super) shot: Shot,
+    pub(super) shot: &'a Shot,
     pub(super) gpu: &'a Gpu,
 }
 
@@ -67,6 +67,7 @@ impl Replay<'_> {
         mut each: impl FnMut(u32, &Renderer) -> Result<(), Failure>,
     ) -> Result<Flown, Failure> {
         let ellipsoid = cache.body().ellipsoid;
+        let options = self.shot.options(&ellipsoid)?;
         let mut renderer = Renderer::new(self.gpu, ellipsoid);
         let mut session = cache.session();
         let (mut frames, mut failed) = (Vec::new(), HashSet::new());
@@ -81,13 +82,14 @@ impl Replay<'_> {
             let late = self.wait_for(start, seconds);
             let pose = self.flight.pose(&ellipsoid, seconds);
             let (at, _) = ellipsoid.geographic_from_cartesian(pose.eye);
-            let light =
-                self.shot.light([at.longitude, at.latitude].map(|angle| angle.0.to_degrees()))?;
+            let over = [at.longitude, at.latitude].map(|angle| angle.0.to_degrees());
+            let light = self.shot.light(&ellipsoid, over)?;
+            let options = self.at(&options, start);
 
             let (view, begin) = (self.shot.view(pose), Instant::now());
             let selection = self.select(&mut session, &view);
             let selected = begin.elapsed();
-            let drawn = renderer.render(&view, &selection, &light, &self.options(start));
+            let drawn = renderer.render(&view, &selection, &light, &options);
             let encoded = begin.elapsed();
             self.gpu.wait();
             let done = begin.elapsed();
@@ -142,14 +144,15 @@ impl Replay<'_> {
         }
     }
 
-    fn options(&self, start: Instant) -> Options {
-        let options = match self.pace {
+    /// Options for a frame that is drawn now.
+    fn at(&self, options: &Options, start: Instant) -> Options {
+        let paced = match self.pace {
             Pace::Complete => Options::default(),
-            Pace::Real | Pace::Fast => {
-                Options { seconds: start.elapsed().as_secs_f64(), ..Options::interactive() }
-            }
+            Pace::Real | Pace::Fast => Options::interactive(),
         };
-        Options { vertical_exaggeration: self.shot.exaggeration, ..options }
+        let seconds = start.elapsed().as_secs_f64();
+        let (fade_seconds, upload_limit_bytes) = (paced.fade_seconds, paced.upload_limit_bytes);
+        Options { seconds, fade_seconds, upload_limit_bytes, ..options.clone() }
     }
 }
 

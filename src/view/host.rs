@@ -1,6 +1,5 @@
 //! What a window asks for: pages of a cache, insertions into its folder, files beside the user.
 
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -12,11 +11,11 @@ use areoid_formats::body::Body;
 use areoid_preprocess::build::Proceed;
 use areoid_preprocess::ingest::{Event, Request};
 use areoid_viewer::window::{Content, Host, Insertion, InsertionState};
-use image::{ImageBuffer, ImageFormat, RgbaImage};
 use serde_json::json;
 
 use crate::failure::in_full;
 use crate::output;
+use crate::shot::png;
 
 /// Names that are tried for a new file.
 const MOST_FILES: u32 = 10_000;
@@ -82,13 +81,7 @@ impl Host for CacheHost {
         let (extension, bytes) = match content {
             Content::Json(text) => ("json", text.as_bytes().to_vec()),
             Content::Picture(picture) => {
-                let buffer: RgbaImage =
-                    ImageBuffer::from_raw(picture.width, picture.height, picture.rgba.clone())
-                        .expect("four samples a pixel");
-                let mut png = Cursor::new(Vec::new());
-                let written = buffer.write_to(&mut png, ImageFormat::Png);
-                written.map_err(|error| error.to_string())?;
-                ("png", png.into_inner())
+                ("png", png(picture.clone()).map_err(|error| error.to_string())?)
             }
         };
         let names = (1..MOST_FILES).map(|number| format!("{stem}-{number:04}.{extension}"));

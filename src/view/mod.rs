@@ -2,18 +2,16 @@
 
 mod host;
 
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
-use areoid_viewer::Style;
 use areoid_viewer::window::{WindowOptions, run};
 use host::CacheHost;
 
 use crate::args::{numbers, position};
 use crate::failure::Failure;
 use crate::place::Source;
-use crate::shot::Quality;
+use crate::shot::{Quality, read_style};
 
 /// Show a catalog in a window.
 ///
@@ -64,12 +62,4 @@ impl Args {
         run(window, CacheHost::new(cache, self.source.folder()))?;
         Ok(ExitCode::SUCCESS)
     }
-}
-
-/// The style in a file.
-pub(crate) fn read_style(path: &Path) -> Result<Style, Failure> {
-    let text = std::fs::read_to_string(path).map_err(|source| {
-        io::Error::new(source.kind(), format!("cannot read {}: {source}", path.display()))
-    })?;
-    Ok(Style::from_json(&text)?)
 }
