@@ -120,3 +120,40 @@ fn run(request: Request, body: &Body, tell: impl Fn(InsertionState) + Send) {
         Err(error) => InsertionState::Failed(in_full(&error)),
     });
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use areoid_cache::Options;
+    use std::time::{Duration, Instant};
+
+    fn host(folder: Option<PathBuf>) -> CacheHost {
+        let body = Body::parse("mars").unwrap();
+        let cache = Cache::with_archives(body, Vec::new(), Options::with_budget(1 << 20)).unwrap();
+        CacheHost::new(cache, folder)
+    }
+
+    fn outcome(host: &CacheHost) -> InsertionState {
+        let end = Instant::now() + Duration::from_secs(60);
+        loop {
+            match &host.insertions()[0].state {
+                InsertionState::Running(_) if Instant::now() < end => thread::yield_now(),
+                state => return state.clone(),
+            }
+        }
+    }
+
+    #[test]
+    fn an_insertion_that_fails_says_why() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut local = host(Some(folder.path().to_owned()));
+        local.insert(&folder.path().join("none.tif"));
+        let InsertionState::Failed(reason) = outcome(&local) else { panic!("it was inserted") };
+        assert!(reason.contains("none.tif"), "{reason}");
+
+        let mut afar = host(None);
+        afar.insert(Path::new("none.tif"));
+        let InsertionState::Failed(reason) = outcome(&afar) else { panic!("it was inserted") };
+        assert!(reason.contains("on the server"), "{reason}");
+    }
+}

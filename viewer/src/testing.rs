@@ -169,6 +169,8 @@ fn window(info: &DatasetInfo, image: &LevelImage, address: PageAddress) -> Optio
     Some(Page::new(pyramid.page_side() as usize, values, coverage))
 }
 
+mod air;
+
 mod composition;
 
 mod reference;
