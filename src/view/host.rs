@@ -105,7 +105,7 @@ fn request(raster: &Path, folder: &Path) -> Result<Request, String> {
 }
 
 /// The cache follows its folder: what is in the catalog shows by itself.
-fn run(request: Request, body: &Body, tell: impl Fn(InsertionState) + Send) {
+fn run(request: Request, body: &Body, tell: impl Fn(InsertionState) + Send + Sync) {
     let watch = |event: Event| {
         if let Event::Building(progress) = event
             && let Some(percent) = (100 * progress.units_done).checked_div(progress.units)
