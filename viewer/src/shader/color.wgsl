@@ -39,17 +39,12 @@ fn ramp_at(height: f32) -> vec3f {
     return color;
 }
 
-fn ground_color(frame_index: u32, d: vec3f, footprint_m: f32) -> vec3f {
-    let colors = compose(frame_index, d, footprint_m, COLORS);
+// `height` above the reference surface, if any is known.
+fn ground_color(colors: Composed, luminances: Composed, heights: Composed, height: f32) -> vec3f {
     var color = scene.bare + (colors.value - scene.bare) * colors.opacity;
-    if scene.ramp_stops > 0u {
-        let height = compose(frame_index, d, footprint_m, HEIGHTS);
-        if height.level >= 0.0 {
-            let of_height = ramp_at(frames[frame_index].height + height.value.x);
-            color += (of_height - color) * scene.ramp_opacity;
-        }
+    if scene.ramp_stops > 0u && heights.level >= 0.0 {
+        color += (ramp_at(height) - color) * scene.ramp_opacity;
     }
-    let luminances = compose(frame_index, d, footprint_m, LUMINANCES);
     if luminances.opacity > 0.0 {
         color += (with_luminance_of(color, luminances.value) - color) * luminances.opacity;
     }

@@ -49,53 +49,54 @@ fn blend_texels(a: Texel, b: Texel, t: f32) -> Texel {
 // The value of a level, and the level it comes from. A page that has just come shows in part; what
 // stood in for it, and for that, shows for the rest.
 fn read_page(dataset: Dataset, point: MapPoint, level: i32, base: f32, plane: u32) -> Answer {
-    var found = find_page(dataset, point, level);
-    var sum = Texel(vec3f(0.0), 0.0);
-    var levels = 0.0;
-    var weight = 0.0;
+    var sum = Answer(Texel(vec3f(0.0), 0.0), 0.0, -1);
+    var last = sum;
     var rest = 1.0;
-    let finest = entry_level(found.entry);
-    while found.entry != 0u {
+    var before = dataset.levels;
+    for (var asked = level; asked >= 0; asked = before - 1) {
+        let found = find_page(dataset, point, asked);
         let own = entry_level(found.entry);
-        let presence = entry_presence(found.entry);
-        let before = select(own - 1, -1, presence >= 1.0);
-        var next = Found(0u, vec2i(0), vec2f(0.0));
-        if before >= 0 {
-            next = find_page(dataset, point, before);
-            if next.entry != 0u && entry_level(next.entry) >= own {
-                next.entry = 0u;
-            }
+        if found.entry == 0u || own >= before {
+            break;
         }
+        sum.finest = max(sum.finest, own);
+        let presence = entry_presence(found.entry);
         let texel = read_found(found, base, plane);
         if texel.coverage > 0.0 {
-            // Where nothing stood in for it, it shows for all that is left.
-            let share = select(rest * presence, rest, next.entry == 0u);
-            sum.value += share * texel.value;
-            sum.coverage += share * texel.coverage;
-            levels += share * f32(own);
-            weight += share;
+            last = Answer(texel, f32(own), own);
+            let share = rest * presence;
+            sum.texel.value += share * texel.value;
+            sum.texel.coverage += share * texel.coverage;
+            sum.level += share * f32(own);
+            rest -= share;
         }
-        rest *= 1.0 - presence;
-        found = next;
+        if presence >= 1.0 {
+            break;
+        }
+        before = own;
     }
-    if weight == 0.0 {
-        return Answer(Texel(vec3f(0.0), 0.0), 0.0, 0);
-    }
-    return Answer(Texel(sum.value / weight, sum.coverage / weight), levels / weight, finest);
+    // Where nothing stood in for the last of them, it shows for all that is left.
+    sum.texel.value += rest * last.texel.value;
+    sum.texel.coverage += rest * last.texel.coverage;
+    sum.level += rest * last.level;
+    return sum;
 }
 
 fn read_levels(dataset: Dataset, point: MapPoint, wanted: f32, base: f32, plane: u32) -> Answer {
     let upper = i32(ceil(wanted));
     let toward_coarse = f32(upper) - wanted;
-    var fine = read_page(dataset, point, upper, base, plane);
-    // A page of another level than asked stands in for both.
-    let both = fine.texel.coverage > 0.0 && fine.finest != upper;
-    if toward_coarse > 0.0 && !both {
-        let coarse = read_page(dataset, point, upper - 1, base, plane);
-        if fine.texel.coverage == 0.0 {
-            fine = coarse;
-        } else if coarse.texel.coverage > 0.0 {
-            fine.texel = blend_texels(fine.texel, coarse.texel, toward_coarse);
+    var fine = Answer(Texel(vec3f(0.0), 0.0), 0.0, -1);
+    // A loop, not two calls: drivers put the whole of a function wherever it is called.
+    for (var step = 0; step < 2; step++) {
+        let answer = read_page(dataset, point, upper - step, base, plane);
+        if step == 0 || fine.texel.coverage == 0.0 {
+            fine = answer;
+        } else if answer.texel.coverage > 0.0 {
+            fine.texel = blend_texels(fine.texel, answer.texel, toward_coarse);
+        }
+        // A page of another level than asked stands in for both.
+        if toward_coarse == 0.0 || (fine.texel.coverage > 0.0 && fine.finest != upper) {
+            break;
         }
     }
     fine.level = min(fine.level, wanted);
@@ -185,9 +186,4 @@ fn compose(frame_index: u32, d: vec3f, footprint_m: f32, plane: u32) -> Composed
         composed.value.x = -base;
     }
     return composed;
-}
-
-// The composed height above the frame's own, in exaggerated meters.
-fn height_at(frame_index: u32, d: vec3f, footprint_m: f32) -> f32 {
-    return scene.exaggeration * compose(frame_index, d, footprint_m, HEIGHTS).value.x;
 }

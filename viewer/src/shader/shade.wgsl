@@ -20,20 +20,6 @@ fn stepped(d: vec3f, step: vec2f) -> vec3f {
     return offset_from_chord(1.0, d + vec3f(step, 0.0));
 }
 
-fn surface_at(frame: Frame, frame_index: u32, d: vec3f, footprint_m: f32) -> vec3f {
-    return position_at(frame, d, height_at(frame_index, d, footprint_m));
-}
-
-// The normal of the composed heights: that of a plane through three points around the pixel, as far
-// apart as a texel, which leans nowhere that the surface does not.
-fn slope_at(frame: Frame, index: u32, d: vec3f, pixel: Pixel) -> vec3f {
-    let step = max(pixel.texel_m, pixel.footprint_m) / scene.equatorial_radius;
-    let a = surface_at(frame, index, stepped(d, step * vec2f(0.0, 0.57735)), pixel.footprint_m);
-    let b = surface_at(frame, index, stepped(d, step * vec2f(-0.5, -0.288675)), pixel.footprint_m);
-    let c = surface_at(frame, index, stepped(d, step * vec2f(0.5, -0.288675)), pixel.footprint_m);
-    return normalize(cross(b - a, c - a));
-}
-
 // The normal that codes say where the reference surface has `up`; exaggerated heights are steeper.
 fn normal_from_codes(codes: vec3f, up: vec3f) -> vec3f {
     let normal = up + (255.0 * codes - 128.0) / 127.0;
@@ -41,18 +27,75 @@ fn normal_from_codes(codes: vec3f, up: vec3f) -> vec3f {
     return normalize(along * up + scene.exaggeration * (normal - along * up));
 }
 
-fn normal_at(frame: Frame, index: u32, d: vec3f, pixel: Pixel) -> vec3f {
-    let composed = compose(index, d, pixel.footprint_m, NORMALS);
-    if composed.opacity == 0.0 {
-        return slope_at(frame, index, d, pixel);
+// What a pixel shows, before light.
+struct Ground {
+    normal: vec3f,
+    // Away from the reference surface.
+    up: vec3f,
+    color: vec3f,
+    // Eye-relative.
+    position: vec3f,
+}
+
+// Three points around the pixel, as far apart as a texel: the plane through them leans nowhere that
+// the surface does not.
+const AROUND: array<vec2f, 3> = array(vec2f(0.0, 0.57735), vec2f(-0.5, -0.288675), vec2f(0.5, -0.288675));
+
+fn ground_at(pixel: Pixel) -> Ground {
+    let index = pixel.place.frame;
+    let frame = frames[index];
+    let d = pixel.place.d;
+    let step = max(pixel.texel_m, pixel.footprint_m) / scene.equatorial_radius;
+
+    let nothing = Composed(vec3f(0.0), -1.0, 0.0, 0.0);
+    var normals = nothing;
+    var colors = nothing;
+    var luminances = nothing;
+    var heights = nothing;
+    var corners = array(vec3f(0.0), vec3f(0.0), vec3f(0.0));
+    // A loop, not seven calls: drivers put the whole of a function wherever it is called.
+    for (var asked = 0; asked < 7; asked++) {
+        let is_corner = asked >= 1 && asked <= 3;
+        let is_height = asked == 6;
+        let is_wanted = !(is_corner && normals.opacity >= 1.0) && !(is_height && scene.ramp_stops == 0u && air.top <= 0.0);
+        if is_wanted {
+            var plane = HEIGHTS;
+            var at = d;
+            if asked == 0 {
+                plane = NORMALS;
+            } else if asked == 4 {
+                plane = COLORS;
+            } else if asked == 5 {
+                plane = LUMINANCES;
+            } else if is_corner {
+                var around = AROUND;
+                at = stepped(d, step * around[asked - 1]);
+            }
+            let found = compose(index, at, pixel.footprint_m, plane);
+            if asked == 0 {
+                normals = found;
+            } else if asked == 4 {
+                colors = found;
+            } else if asked == 5 {
+                luminances = found;
+            } else if is_height {
+                heights = found;
+            } else {
+                corners[asked - 1] = position_at(frame, at, scene.exaggeration * found.value.x);
+            }
+        }
     }
+
     let up = frame.up + frame.east * d.x + frame.north * d.y + frame.up * d.z;
-    let normal = normal_from_codes(composed.value, up);
-    if composed.opacity >= 1.0 {
-        return normal;
+    var normal = up;
+    if normals.opacity < 1.0 {
+        normal = normalize(cross(corners[1] - corners[0], corners[2] - corners[0]));
     }
-    let slope = slope_at(frame, index, d, pixel);
-    return normalize(slope + (normal - slope) * composed.opacity);
+    if normals.opacity > 0.0 {
+        normal = normalize(normal + (normal_from_codes(normals.value, up) - normal) * normals.opacity);
+    }
+    let color = ground_color(colors, luminances, heights, frame.height + heights.value.x);
+    return Ground(normal, up, color, position_at(frame, d, scene.exaggeration * heights.value.x));
 }
 
 // Farther than anything.
@@ -81,24 +124,20 @@ fn shade(@builtin(position) position: vec4f) -> @location(0) vec4f {
         let behind = linear_from_srgb(scene.background);
         return finished(behind * sky.transmittance + sky.light * scene.exposure);
     }
-    let index = pixel.place.frame;
-    let frame = frames[index];
-    let d = pixel.place.d;
+    let ground = ground_at(pixel);
+    let place = pixel.place;
+    let color = linear_from_srgb(debug_color(ground.color, place.frame, place.d, pixel.footprint_m));
+    let distance = length(ground.position);
+    let direction = ground.position / distance;
 
-    let normal = normal_at(frame, index, d, pixel);
-    let ground = ground_color(index, d, pixel.footprint_m);
-    let color = linear_from_srgb(debug_color(ground, index, d, pixel.footprint_m));
-    let up = frame.up + frame.east * d.x + frame.north * d.y + frame.up * d.z;
-    let distance = length(pixel.position);
-    let direction = pixel.position / distance;
-
-    var sunlight = vec3f(max(dot(normal, scene.sun), 0.0));
+    var sunlight = vec3f(max(dot(ground.normal, scene.sun), 0.0));
     if any(scene.relief != vec3f(0.0)) {
+        let frame = frames[place.frame];
         let toward = frame.east * scene.relief.x + frame.north * scene.relief.y + frame.up * scene.relief.z;
-        sunlight = vec3f(max(dot(normal, toward), 0.0));
+        sunlight = vec3f(max(dot(ground.normal, toward), 0.0));
     } else if air.top > 0.0 {
         let height = height_along(dot(direction, air.eye_up), distance);
-        sunlight *= sunlight_at(max(height, 0.0), dot(up, scene.sun));
+        sunlight *= sunlight_at(max(height, 0.0), dot(ground.up, scene.sun));
     }
     let seen = color * (scene.ambient + (1.0 - scene.ambient) * sunlight);
     let haze = scattered_along(direction, distance, scene.sun);
