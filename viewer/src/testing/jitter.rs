@@ -47,8 +47,9 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
     var answer: Probed;
     answer.clip = vertex_of(patch_index, steps).clip;
     let part = patches[patch_index];
-    let anchor = anchors[part.frame * scene.datasets + DATASET];
-    if anchor.texel.x != ABSENT {
+    for (var i = frames[part.frame].lists[HEIGHTS]; i < frames[part.frame].lists[HEIGHTS + 1u]; i++) {
+        let anchor = anchors[i];
+        if anchor.dataset != DATASET { continue; }
         let place = place_in_patch(part, vec2f(steps) / f32(SEGMENTS));
         let frame = frames[part.frame];
         let point = map_point(dataset_list[DATASET], anchor, frame.north.z, frame.up.z, place.d);

@@ -11,6 +11,7 @@ use super::caster::{ground_m, quantile};
 use super::worlds::{INSET, World, at, earth, split_mars};
 use super::{gpu, soak};
 use crate::camera::{Pose, pixel_angle};
+use crate::map::Maps;
 use crate::mesh::detail::Detail;
 use crate::mesh::patches::Mesh;
 use crate::{Light, Options, Renderer};
@@ -58,7 +59,7 @@ impl Dolly {
 /// Which patches a view has: the normals of their middles, and how their sides are made.
 fn patches(mesh: &mut Mesh, detail: &mut Detail, dolly: &Dolly, share: f64) -> Names {
     let world = dolly.world;
-    mesh.build(&dolly.view(share), world.body, &world.truth, detail, &[]);
+    mesh.build(&dolly.view(share), world.body, &world.truth, detail, &Maps::default());
     let named = mesh.patches.iter().map(|patch| {
         let middle = mesh.frames[patch.frame as usize].axes.z_axis;
         (middle.to_array().map(f64::to_bits), patch.sides)
