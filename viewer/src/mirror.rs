@@ -103,7 +103,7 @@ pub(crate) struct Edge {
     pub(crate) half_chord: f32,
     pub(crate) direction: [f32; 2],
     pub(crate) distance: f32,
-    pub(crate) _pad: u32,
+    pub(crate) come: f32,
 }
 
 /// Mirrors `struct Patch` of `shader/mesh.wgsl`.
@@ -117,5 +117,5 @@ pub(crate) struct Patch {
     pub(crate) corner_c: [f32; 3],
     pub(crate) distance: f32,
     pub(crate) edges: [u32; 3],
-    pub(crate) _pad: u32,
+    pub(crate) come: f32,
 }

@@ -9,6 +9,7 @@ use areoid_formats::geodesy::Geographic;
 use areoid_formats::grid::{Grid, Outline, TexelPoint};
 use areoid_formats::page::{Kind, Page, Texels};
 use areoid_formats::projection::Crs;
+use glam::DVec3;
 
 /// A texel: a value and its coverage, 0 for none.
 pub(crate) type Sample = ([f32; 3], u8);
@@ -171,14 +172,50 @@ fn window(info: &DatasetInfo, image: &LevelImage, address: PageAddress) -> Optio
 
 mod air;
 
+pub(crate) mod caster;
+
 mod composition;
+
+mod cracks;
+
+mod jitter;
+
+mod pops;
 
 mod reference;
 
 mod twins;
 
+mod views;
+
+pub(crate) mod worlds;
+
 /// The device that all tests share: a pipeline's first use is slow.
 pub(crate) fn gpu() -> &'static crate::Gpu {
     static GPU: std::sync::OnceLock<crate::Gpu> = std::sync::OnceLock::new();
     GPU.get_or_init(|| crate::Gpu::headless().unwrap())
+}
+
+/// Whether `AREOID_SOAK` asks for more than continuous integration has time for.
+pub(crate) fn soak() -> bool {
+    std::env::var_os("AREOID_SOAK").is_some()
+}
+
+/// Random numbers of a fixed seed: xorshift.
+pub(crate) struct Random(pub(crate) u64);
+
+impl Random {
+    pub(crate) fn next(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    pub(crate) fn direction(&mut self) -> DVec3 {
+        let z = 2.0 * self.next() - 1.0;
+        let turn = std::f64::consts::TAU * self.next();
+        let r = (1.0 - z * z).sqrt();
+        DVec3::new(r * turn.cos(), r * turn.sin(), z)
+    }
 }

@@ -5,7 +5,6 @@
 
 use areoid_cache::View;
 use areoid_formats::body::Ellipsoid;
-use bytemuck::Zeroable;
 use glam::DVec3;
 
 use super::detail::{Criterion, Detail};
@@ -81,7 +80,7 @@ impl Mesh {
         }
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "chords relative to their middles")]
+    #[expect(clippy::cast_possible_truncation, reason = "chords relative to their middles, shares")]
     fn mirror_patch(
         &mut self,
         tree: &Tree,
@@ -114,11 +113,11 @@ impl Mesh {
             corner_c,
             distance,
             edges,
-            ..Zeroable::zeroed()
+            come: patch.come as f32,
         }
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "chords relative to their middles")]
+    #[expect(clippy::cast_possible_truncation, reason = "chords relative to their middles, shares")]
     fn mirror_edge(
         &mut self,
         tree: &Tree,
@@ -154,7 +153,7 @@ impl Mesh {
             half_chord: half_chord as f32,
             direction: direction.as_vec2().to_array(),
             distance: (1.0 - half_chord * half_chord).sqrt() as f32,
-            ..Zeroable::zeroed()
+            come: edge.come() as f32,
         });
         let mirrored = count(self.edges.len() - 1);
         self.mirrored_edge[index] = mirrored;

@@ -10,7 +10,15 @@
 //!          m0                which the coarser neighbor beyond owns whole
 //! ```
 //!
-//! The tree is built anew for every view: it is a function of the view alone.
+//! The tree is built anew for every view: it is a function of the view alone. So that nothing jumps
+//! when a triangle splits, it says how far the vertices that a split brings have *come*: 0 as long as
+//! they lie between those of before, 1 once they are where they belong. That rises with the parent's
+//! excess, from the split on, and is done before a child splits. An edge's vertices have come as far as those of
+//! the less split of its two triangles: from both sides the same.
+//!
+//! # References
+//!
+//! P-BDAM §4.2: what belongs to an edge is a function of the edge and the eye.
 
 use glam::DVec3;
 
@@ -18,19 +26,22 @@ use super::sphere;
 
 const NONE: u32 = u32::MAX;
 
+/// A parent is so many times coarser than its children, at least: what a caller says of a child is
+/// held to that.
+const CHILD_RATIO: f64 = 1.5;
+
 /// What a caller makes of a triangle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Verdict {
     /// Out of sight, with everything in it.
     Hidden,
-    /// Fine enough to draw.
-    Draw,
-    /// Too coarse.
-    Split,
+    /// So many times as coarse as it may be: from 1 on it splits. Steady in the view, or
+    /// vertices jump.
+    Coarse(f64),
 }
 
 /// An arc between two corners of the tree.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Edge {
     /// Where it starts: a corner.
     pub(crate) start: u32,
@@ -44,13 +55,17 @@ pub(crate) struct Edge {
     parent: u32,
     /// How many triangles of its own length have it.
     triangles: u8,
+    /// How far its own vertices have come, 0 to 1.
+    come: f64,
 }
 
 /// A triangle to draw.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Patch {
     /// Counterclockwise from outside.
     pub(crate) corners: [u32; 3],
+    /// How far the vertices that its parent lacks have come, 0 to 1.
+    pub(crate) come: f64,
     /// From each corner to the next.
     pub(crate) edges: [PatchEdge; 3],
 }
@@ -73,6 +88,10 @@ struct Triangle {
     depth: u8,
     children: u32,
     hidden: bool,
+    /// How far its own vertices have come.
+    come: f64,
+    /// How many times as coarse as it may be.
+    excess: f64,
 }
 
 /// The triangles of one view. The buffers are kept from view to view.
@@ -108,9 +127,7 @@ impl Tree {
             for index in before..self.triangles.len() {
                 let triangle = self.triangles[index];
                 let corners = triangle.corners.map(|i| self.corners[i as usize]);
-                if verdict(corners, triangle.depth) == Verdict::Hidden {
-                    self.triangles[index].hidden = true;
-                }
+                self.note(index, verdict(corners, triangle.depth));
             }
         }
         self.collect();
@@ -143,16 +160,27 @@ impl Tree {
                 let found = self.edges.iter().position(|edge| edge.joins(from, to));
                 found.map_or_else(|| self.add_edge(from, to, NONE), count)
             });
-            self.add_triangle(corners, edges, 0);
+            // None is coarser than those: their vertices have come from nowhere.
+            self.add_triangle(corners, edges, 0, 1.0, f64::INFINITY);
         }
     }
 
     fn settle(&mut self, index: usize, verdict: &mut impl FnMut([DVec3; 3], u8) -> Verdict) {
         let triangle = self.triangles[index];
-        match verdict(triangle.corners.map(|i| self.corners[i as usize]), triangle.depth) {
-            Verdict::Hidden => self.triangles[index].hidden = true,
-            Verdict::Draw => {}
-            Verdict::Split => self.split(index),
+        let corners = triangle.corners.map(|i| self.corners[i as usize]);
+        self.note(index, verdict(corners, triangle.depth));
+        let Triangle { hidden, excess, .. } = self.triangles[index];
+        if !hidden && excess >= 1.0 {
+            self.split(index);
+        }
+    }
+
+    /// Writes down what was said of a triangle.
+    fn note(&mut self, index: usize, verdict: Verdict) {
+        let triangle = &mut self.triangles[index];
+        match verdict {
+            Verdict::Hidden => triangle.hidden = true,
+            Verdict::Coarse(times) => triangle.excess = triangle.excess.min(times),
         }
     }
 
@@ -168,7 +196,9 @@ impl Tree {
     }
 
     fn split(&mut self, index: usize) {
-        let Triangle { corners, edges, depth, .. } = self.triangles[index];
+        let Triangle { corners, edges, depth, excess, .. } = self.triangles[index];
+        let come = ((excess - 1.0) / (CHILD_RATIO - 1.0)).clamp(0.0, 1.0);
+        let most = excess / CHILD_RATIO;
         let middles = edges.map(|edge| self.middle(edge));
         let halves = [0, 1, 2].map(|side| self.halves_from(edges[side], corners[side]));
         let inner = [0, 1, 2].map(|side| {
@@ -182,9 +212,11 @@ impl Tree {
                 [corners[side], middles[side], middles[before]],
                 [halves[side].0, inner[before], halves[before].1],
                 depth + 1,
+                come,
+                most,
             );
         }
-        self.add_triangle(middles, inner, depth + 1);
+        self.add_triangle(middles, inner, depth + 1, come, most);
     }
 
     /// The middle of an edge, as a corner.
@@ -216,27 +248,37 @@ impl Tree {
     }
 
     fn add_edge(&mut self, start: u32, end: u32, parent: u32) -> u32 {
-        let edge = Edge { start, end, middle: NONE, halves: NONE, parent, triangles: 0 };
-        self.edges.push(edge);
+        let (middle, halves) = (NONE, NONE);
+        self.edges.push(Edge { start, end, middle, halves, parent, triangles: 0, come: 1.0 });
         count(self.edges.len() - 1)
     }
 
-    fn add_triangle(&mut self, corners: [u32; 3], edges: [u32; 3], depth: u8) {
+    /// A triangle whose excess is `most` at most.
+    fn add_triangle(
+        &mut self,
+        corners: [u32; 3],
+        edges: [u32; 3],
+        depth: u8,
+        come: f64,
+        most: f64,
+    ) {
         for edge in edges {
-            self.edges[edge as usize].triangles += 1;
+            let edge = &mut self.edges[edge as usize];
+            edge.triangles += 1;
+            edge.come = edge.come.min(come);
         }
-        let triangle = Triangle { corners, edges, depth, children: NONE, hidden: false };
-        self.triangles.push(triangle);
+        let (children, hidden, excess) = (NONE, false, most);
+        self.triangles.push(Triangle { corners, edges, depth, children, hidden, come, excess });
     }
 
     fn collect(&mut self) {
         for index in 0..self.triangles.len() {
-            let Triangle { corners, edges, children, hidden, .. } = self.triangles[index];
+            let Triangle { corners, edges, children, hidden, come, .. } = self.triangles[index];
             if children != NONE || hidden {
                 continue;
             }
             let edges = [0, 1, 2].map(|side| self.side(edges[side], corners[side]));
-            self.patches.push(Patch { corners, edges });
+            self.patches.push(Patch { corners, come, edges });
         }
     }
 
@@ -262,6 +304,11 @@ impl Edge {
         self.middle
     }
 
+    /// How far the vertices have come that half as many would lack, 0 to 1.
+    pub(crate) fn come(&self) -> f64 {
+        self.come
+    }
+
     fn joins(&self, a: u32, b: u32) -> bool {
         (self.start == a && self.end == b) || (self.start == b && self.end == a)
     }
@@ -282,7 +329,7 @@ mod tests {
         tree.build(|corners, depth| {
             let size = corners[0].distance(corners[1]);
             let near = sphere::distance_to_triangle(target, corners) < 0.3 * size;
-            if depth < most && near { Verdict::Split } else { Verdict::Draw }
+            Verdict::Coarse(if depth < most && near { 1e30 } else { 0.0 })
         });
         tree
     }

@@ -369,8 +369,6 @@ impl Renderer {
     #[expect(clippy::cast_possible_truncation, reason = "angles, factors and the body's radius")]
     fn write_scene(&mut self, view: &View, light: &Light, options: &Options) {
         let tangent = (view.vertical_fov.0 / 2.0).tan();
-        // GL maps depth to [-1, 1] and loses what a reversed depth gains: keep the plane far out.
-        let clearance_m = view.eye.length() - self.ellipsoid.a().0 - self.detail.highest_m();
         let aspect = f64::from(view.viewport[0]) / f64::from(view.viewport[1]);
         let axis = |axis: DVec3| axis.as_vec3().to_array();
         let (ramp, ramp_stops) = mirrored_ramp(options.style.ramp.as_ref());
@@ -380,7 +378,7 @@ impl Renderer {
             up: axis(view.orientation.y_axis),
             focal_y: (1.0 / tangent) as f32,
             backward: axis(view.orientation.z_axis),
-            near: (0.5 * clearance_m).max(NEAR_M) as f32,
+            near: self.near_m(view) as f32,
             sun: axis(light.toward_sun.normalize()),
             ambient: light.ambient as f32,
             background: options.background.map(|code| f32::from(code) / 255.0),
@@ -438,6 +436,13 @@ impl Renderer {
         }
     }
 
+    /// Meters to the near plane. GL maps depth to [-1, 1] and loses what a reversed depth gains: the
+    /// plane is kept far out.
+    fn near_m(&self, view: &View) -> f64 {
+        let clearance_m = view.eye.length() - self.ellipsoid.a().0 - self.detail.highest_m();
+        (0.5 * clearance_m).max(NEAR_M)
+    }
+
     fn draw(&self, view: &View) {
         let gpu = &self.gpu;
         let targets = self.targets.as_ref().filter(|targets| targets.viewport == view.viewport);
@@ -458,7 +463,12 @@ impl Renderer {
                     view: &depth,
                     depth_ops: Some(wgpu::Operations {
                         load: wgpu::LoadOp::Clear(0.0),
-                        store: wgpu::StoreOp::Discard,
+                        // The tests read it.
+                        store: if cfg!(test) {
+                            wgpu::StoreOp::Store
+                        } else {
+                            wgpu::StoreOp::Discard
+                        },
                     }),
                     stencil_ops: None,
                 }),
@@ -495,6 +505,17 @@ impl Renderer {
         let layouts = [&self.pipelines.scene_layout, &self.pipelines.atlas_layout];
         let groups = [&self.scene_group, &self.atlas_group];
         super::testing::probe(&self.gpu, source, layouts, groups, bytes, workgroups)
+    }
+
+    /// Meters along the view's axis to what was drawn last, row by row from the top; infinite where no
+    /// planet is.
+    #[cfg(test)]
+    pub(crate) fn read_depth_m(&self) -> Vec<f64> {
+        let (targets, view) = (self.targets.as_ref().unwrap(), self.drawn.as_ref().unwrap());
+        let bytes = read_texture(&self.gpu, &targets.depth);
+        let near_m = f64::from(self.near_m(view) as f32);
+        let depths: &[f32] = bytemuck::cast_slice(&bytes);
+        depths.iter().map(|&depth| near_m / f64::from(depth)).collect()
     }
 
     /// The geometry drawn last.

@@ -10,6 +10,10 @@
 //     first .............. last           a side runs over all of the edge, or one half of it, in
 //                                         either direction; on a half, odd vertices fall on even
 //
+// A vertex of an odd number is one that the coarser mesh lacks. It comes from between its two even
+// neighbors, as those are shown, to its own place: on a side as far as the edge's have come, which
+// both neighbors agree on. When a patch splits, its children's vertices have come by 0: nothing moves.
+//
 // Mirrored   struct Edge, struct Patch <-> viewer/src/mirror.rs, made by mesh/patches.rs
 // After      P-BDAM §4.2: what belongs to an edge depends on its corners and the eye alone
 
@@ -22,7 +26,8 @@ struct Edge {
     direction: vec2f,
     // From the center to the chord.
     distance: f32,
-    pad: u32,
+    // How far its odd vertices have come, 0 to 1.
+    come: f32,
 }
 
 struct Patch {
@@ -36,7 +41,8 @@ struct Patch {
     // From the center to the corners' plane, along the frame's normal.
     distance: f32,
     edges: vec3u,
-    pad: u32,
+    // How far its odd vertices inside have come, 0 to 1.
+    come: f32,
 }
 
 @group(0) @binding(5) var<storage, read> edges: array<Edge>;
@@ -89,39 +95,107 @@ fn side_of(steps: vec2i) -> vec2i {
     return select(vec2i(-1, 0), vec2i(2, SEGMENTS - steps.y), steps.x == 0);
 }
 
+// The places between which a vertex is shown: each of two even neighbors may lie between two itself.
+struct Blend {
+    places: array<Place, 7>,
+    shares: array<f32, 7>,
+    count: i32,
+}
+
+fn add_place(blend: ptr<function, Blend>, place: Place, share: f32) {
+    if share > 0.0 {
+        (*blend).places[(*blend).count] = place;
+        (*blend).shares[(*blend).count] = share;
+        (*blend).count += 1;
+    }
+}
+
+fn add_on_edge(blend: ptr<function, Blend>, edge: Edge, own: i32, share: f32) {
+    let come = select(1.0, edge.come, (own & 1) == 1);
+    let between = 0.5 * (share - share * come);
+    if between > 0.0 {
+        add_place(blend, place_on_edge(edge, own - 1), between);
+        add_place(blend, place_on_edge(edge, own + 1), between);
+    }
+    add_place(blend, place_on_edge(edge, own), share * come);
+}
+
+// The number on its edge of a vertex on a side; where a side is half an edge, odd steps fall on the
+// one before them.
+fn number_on_edge(part: Patch, side: i32, step: i32) -> i32 {
+    let ends = (part.sides >> u32(4 * side)) & 0xfu;
+    let first = i32(ends & 3u);
+    let last = i32(ends >> 2u);
+    let whole = select(step, step & ~1, abs(last - first) == 1);
+    return (first * SEGMENTS + (last - first) * whole) / 2;
+}
+
+// Where a vertex of an edge stands on the chord of the half that it is on, 0 at the middle and 1 at the
+// end: u of the whole chord's half is u tan α at the angle's tangent, with α the angle of the half, and
+// the half's own chord is one of tangents about α / 2, whose own tangent is h.
+fn share_of_half(edge: Edge, own: i32) -> f32 {
+    let u = f32(abs(2 * own - SEGMENTS)) / f32(SEGMENTS);
+    let h = edge.half_chord / (1.0 + edge.distance);
+    return u * (1.0 + h * h) / (1.0 - h * h + 2.0 * u * h * h);
+}
+
+// A vertex of even steps, as it is shown.
+fn add_even(blend: ptr<function, Blend>, part: Patch, steps: vec2i, share: f32) {
+    let on_side = side_of(steps);
+    if on_side.x < 0 {
+        add_place(blend, place_in_patch(part, vec2f(steps) / f32(SEGMENTS)), share);
+    } else {
+        let own = number_on_edge(part, on_side.x, on_side.y);
+        add_on_edge(blend, edges[part.edges[on_side.x]], own, share);
+    }
+}
+
 // steps: segments from corner a toward b and toward c.
 fn vertex_of(patch_index: u32, steps: vec2i) -> Vertex {
     let part = patches[patch_index];
     let on_side = side_of(steps);
     let side = on_side.x;
     var weights = vec2f(steps) / f32(SEGMENTS);
-    var place = Place(0u, vec3f(0.0));
+    var blend: Blend;
     if side < 0 {
-        place = place_in_patch(part, weights);
+        let odd = steps & vec2i(1);
+        let come = select(1.0, part.come, any(odd == vec2i(1)));
+        if come < 1.0 {
+            // Toward b, toward c, or from one to the other.
+            let way = select(odd, vec2i(1, -1), all(odd == vec2i(1)));
+            add_even(&blend, part, steps - way, 0.5 * (1.0 - come));
+            add_even(&blend, part, steps + way, 0.5 * (1.0 - come));
+        }
+        add_place(&blend, place_in_patch(part, weights), come);
     } else {
         let ends = (part.sides >> u32(4 * side)) & 0xfu;
         let first = i32(ends & 3u);
-        let last = i32(ends >> 2u);
-        var step = on_side.y;
-        if abs(last - first) == 1 {
-            // Odd vertices fall on the one before them.
-            step -= step & 1;
-            let share = f32(step) / f32(SEGMENTS);
+        let edge = edges[part.edges[side]];
+        let own = number_on_edge(part, side, on_side.y);
+        if abs(first - i32(ends >> 2u)) == 1 {
+            let from_middle = share_of_half(edge, own);
+            let share = select(1.0 - from_middle, from_middle, first == 1);
             weights = select(
                 select(vec2f(0.0, 1.0 - share), vec2f(1.0 - share, share), side == 1),
                 vec2f(share, 0.0),
                 side == 0,
             );
         }
-        let own = (first * SEGMENTS + (last - first) * step) / 2;
-        place = place_on_edge(edges[part.edges[side]], own);
+        add_on_edge(&blend, edge, own, 1.0);
     }
 
-    let frame = frames[place.frame];
-    let footprint_m = length(position_at(frame, place.d, 0.0)) * scene.pixel_angle;
-    let composed = compose(place.frame, place.d, footprint_m, HEIGHTS);
-    let position = position_at(frame, place.d, scene.exaggeration * composed.value.x);
-    return Vertex(clip_from_eye(position), weights, composed.texel_m, patch_index);
+    var position = vec3f(0.0);
+    var texel_m = 0.0;
+    for (var i = 0; i < blend.count; i++) {
+        let place = blend.places[i];
+        let frame = frames[place.frame];
+        let footprint_m = length(position_at(frame, place.d, 0.0)) * scene.pixel_angle;
+        let composed = compose(place.frame, place.d, footprint_m, HEIGHTS);
+        let shown = position_at(frame, place.d, scene.exaggeration * composed.value.x);
+        position += blend.shares[i] * shown;
+        texel_m += blend.shares[i] * composed.texel_m;
+    }
+    return Vertex(clip_from_eye(position), weights, texel_m, patch_index);
 }
 
 @vertex

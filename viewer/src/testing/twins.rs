@@ -10,32 +10,13 @@ use areoid_formats::units::{Degrees, Meters};
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3};
 
-use super::{dataset, gpu};
+use super::{Random, dataset, gpu};
 use crate::map::DatasetMap;
 use crate::mesh::frame::axes_at;
 use crate::mirror;
 use crate::render::testing::compute;
 use crate::shader::{Program, SURFACE};
 use crate::style::Style;
-
-/// Random numbers of a fixed seed: xorshift.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> f64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn direction(&mut self) -> DVec3 {
-        let z = 2.0 * self.next() - 1.0;
-        let turn = std::f64::consts::TAU * self.next();
-        let r = (1.0 - z * z).sqrt();
-        DVec3::new(r * turn.cos(), r * turn.sin(), z)
-    }
-}
 
 /// A question to `map_point` and its answer.
 #[repr(C)]
@@ -252,8 +233,8 @@ fn shaders_and_rust_agree_on_structures() {
     assert_mirrored!(Dataset: size, interior, levels, first_window, priority, polar, wraps, period,
         latitude_ratio, hemisphere, eccentricity, ground, weight, series);
     assert_mirrored!(Anchor: texel, fraction, matrix, dataset);
-    assert_mirrored!(Edge: frames, half_chord, direction, distance);
-    assert_mirrored!(Patch: corner_a, frame, corner_b, sides, corner_c, distance, edges);
+    assert_mirrored!(Edge: frames, half_chord, direction, distance, come);
+    assert_mirrored!(Patch: corner_a, frame, corner_b, sides, corner_c, distance, edges, come);
 }
 
 #[test]
