@@ -103,7 +103,7 @@ fn a_tiny_book_of_the_cache_is_complete() {
     let output = Command::new(env!("CARGO_BIN_EXE_areoid"))
         .args(["bench", "cache", "--json", "--seconds", "0.2", "--share", "0.002", "-o"])
         .arg(folder.path())
-        .args(["--chapter", "frame", "skipping", "ahead", "budget", "lookups", "tree"])
+        .args(["--chapter", "frame", "skipping", "ahead", "budget", "eviction", "lookups", "tree"])
         .current_dir(folder.path())
         .output()
         .unwrap();
@@ -118,7 +118,7 @@ fn a_tiny_book_of_the_cache_is_complete() {
         assert!(target["measured"].as_f64().is_some(), "{target}");
         assert!(tables.contains(target["what"].as_str().unwrap()), "{target}");
     }
-    for chapter in ["frame", "skipping", "ahead", "budget", "lookups", "tree"] {
+    for chapter in ["frame", "skipping", "ahead", "budget", "eviction", "lookups", "tree"] {
         assert!(!report["chapters"][chapter].is_null(), "{chapter}");
     }
     assert!(!folder.path().join("work").exists());

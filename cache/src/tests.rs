@@ -6,6 +6,7 @@ mod faulty;
 mod frames;
 mod loading;
 mod opening;
+mod orders;
 
 use std::collections::HashMap;
 use std::io;

@@ -111,6 +111,12 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
 }
 
 fn watched() -> Result<Watched, Failure> {
+    let planet = Planet::new("globe", globe()?, Duration::from_millis(2));
+    Ok(Watched { planet, decoded: Mutex::default(), again: AtomicU64::new(0) })
+}
+
+/// Pages of 512 texels: 1 MiB each.
+pub(super) fn globe() -> Result<Grid, Failure> {
     let outline = Outline {
         origin: [-180.0, 90.0],
         pixel_size: [360.0 / 49_152.0; 2],
@@ -118,11 +124,9 @@ fn watched() -> Result<Watched, Failure> {
         height: 24_576,
     };
     let crs = Crs::new(Projection::Geographic, body().ellipsoid);
-    let grid = Grid::from_outline(crs, outline, 512)
-        .map_err(|error| std::io::Error::other(error.to_string()))?
-        .grid;
-    let planet = Planet::new("globe", grid, Duration::from_millis(2));
-    Ok(Watched { planet, decoded: Mutex::default(), again: AtomicU64::new(0) })
+    let placed = Grid::from_outline(crs, outline, 512)
+        .map_err(|error| std::io::Error::other(error.to_string()))?;
+    Ok(placed.grid)
 }
 
 /// Pages of both selections that are not the same copy.

@@ -89,3 +89,18 @@ pub(super) fn leaps(seconds: f64) -> Result<Flight, Failure> {
     }
     Flight::new(keys).map_err(|error| Failure::Failed(error.into()))
 }
+
+/// There and back along one way, and around on the spot at its ends: what was seen is seen again.
+pub(super) fn returns(seconds: f64) -> Result<Flight, Failure> {
+    const LEG_S: f64 = 10.0;
+    const ENDS: [[f64; 3]; 2] = [[-80.0, 10.0, 6e4], [-72.0, 14.0, 6e4]];
+    let (mut keys, mut start, mut leg) = (Vec::new(), 0.0, 0);
+    while start < seconds {
+        let eye = ENDS[leg % 2];
+        let heading = if leg % 2 == 0 { 60.0 } else { 240.0 };
+        keys.push(Key { seconds: start, eye, look: [heading, -35.0] });
+        keys.push(Key { seconds: start + 0.3 * LEG_S, eye, look: [heading + 170.0, -35.0] });
+        (start, leg) = (start + LEG_S, leg + 1);
+    }
+    Flight::new(keys).map_err(|error| Failure::Failed(error.into()))
+}

@@ -6,6 +6,7 @@
 //!                                     ├─▶ skipping  pages fetched over pages necessary
 //!                                     ├─▶ ahead     what is there before it is needed
 //!                                     ├─▶ budget    memory, and pages decoded twice
+//!                                     ├─▶ eviction  which page goes, and is fetched again
 //!                                     ├─▶ lookups   finding and loading a page, in process
 //!                                     ├─▶ tree      many boxes, many changes
 //!   service (a server, wrk, nginx) ───┴─▶ serve, live   pages over HTTP, and insertion meanwhile
@@ -13,6 +14,7 @@
 
 mod ahead;
 mod budget;
+mod eviction;
 mod flights;
 mod frame;
 mod lookups;
@@ -76,6 +78,8 @@ enum ChapterArg {
     Ahead,
     /// Memory in flight, and pages decoded twice.
     Budget,
+    /// Which page goes when there is no room, and is fetched again.
+    Eviction,
     /// Finding a page in memory, and loading one.
     Lookups,
     /// The tree over the datasets.
@@ -118,6 +122,7 @@ impl Args {
             ChapterArg::Skipping,
             ChapterArg::Ahead,
             ChapterArg::Budget,
+            ChapterArg::Eviction,
             ChapterArg::Lookups,
             ChapterArg::Tree,
             ChapterArg::Serve,
@@ -135,6 +140,7 @@ impl Args {
                 ChapterArg::Skipping => skipping::measure(setting)?,
                 ChapterArg::Ahead => ahead::measure(setting)?,
                 ChapterArg::Budget => budget::measure(setting)?,
+                ChapterArg::Eviction => eviction::measure(setting)?,
                 ChapterArg::Lookups => lookups::measure(setting, &self.output)?,
                 ChapterArg::Tree => tree::measure(setting),
                 ChapterArg::Serve => service::serve(&outside)?,

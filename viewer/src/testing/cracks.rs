@@ -41,15 +41,15 @@ fn neighbors_meet_to_the_bit() {
     let mut renderer = Renderer::new(gpu(), world.body);
     let options = Options { vertical_exaggeration: 5.0, ..Options::default() };
     let mut halves_in_all = 0;
-    for (longitude, latitude, altitude) in
-        [(10.0, 20.0, 4e6), (-180.0, 89.9, 6e4), (36.0, 0.0, 9e4)]
+    for (longitude, latitude, altitude, pitch) in
+        [(10.0, 20.0, 4e6, -50.0), (-180.0, 89.9, 6e4, -20.0), (36.0, 0.0, 9e4, -20.0)]
     {
         let pose = Pose::from_eye(
             &world.body,
             at(longitude, latitude),
             Meters(altitude),
             Radians(0.4),
-            Degrees(-20.0).into(),
+            Degrees(pitch).into(),
         );
         let view = pose.view(Degrees(60.0).into(), [256; 2], 1.0);
         renderer.render(&view, &world.whole, &LIGHT, &options);

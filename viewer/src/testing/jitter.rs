@@ -53,7 +53,7 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
         let place = place_in_patch(part, vec2f(steps) / f32(SEGMENTS));
         let frame = frames[part.frame];
         let point = map_point(dataset_list[DATASET], anchor, frame.north.z, frame.up.z, place.d);
-        let above = height_at(place.frame, place.d, 0.0);
+        let above = scene.exaggeration * compose(place.frame, place.d, 0.0, HEIGHTS).value.x;
         answer.place = clip_from_eye(position_at(frame, place.d, above));
         answer.texel = point.texel;
         answer.fraction = point.fraction;
