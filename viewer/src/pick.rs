@@ -14,8 +14,8 @@ use crate::surface::{Surface, SurfacePoint};
 pub struct Picked {
     /// Where.
     pub place: Geographic,
-    /// The composed height there, without exaggeration, and where it comes from; none if no dataset
-    /// has any.
+    /// The composed height there from the finest pages in memory, without exaggeration, and where it
+    /// comes from; none if no dataset has any.
     pub height: Option<SurfacePoint>,
 }
 
@@ -43,7 +43,7 @@ pub fn pick(
         let (place, altitude) = ellipsoid.geographic_from_cartesian(point);
         let found = surface.compose(Kind::Height, place, distance_m * pixel_angle(view));
         let height_m = found.map_or(0.0, |found| exaggeration * found.value[0]);
-        (altitude.0 - height_m, Picked { place, height: found })
+        (altitude.0 - height_m, place)
     };
     let (low, high) = surface.height_range_m();
     let [outer, inner] =
@@ -55,19 +55,20 @@ pub fn pick(
     let mut before = start;
     for i in 1..=STEPS {
         let here = start + f64::from(i) * step;
-        let (above, picked) = height_at(here);
+        let (above, place) = height_at(here);
         if above <= 0.0 {
-            let (mut near, mut far, mut found) = (before, here, picked);
+            let (mut near, mut far, mut found) = (before, here, place);
             for _ in 0..HALVINGS {
                 let middle = 0.5 * (near + far);
-                let (above, picked) = height_at(middle);
+                let (above, place) = height_at(middle);
                 if above <= 0.0 {
-                    (far, found) = (middle, picked);
+                    (far, found) = (middle, place);
                 } else {
                     near = middle;
                 }
             }
-            return Some(found);
+            let height = surface.compose(Kind::Height, found, 0.0);
+            return Some(Picked { place: found, height });
         }
         before = here;
     }

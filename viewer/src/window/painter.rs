@@ -78,7 +78,7 @@ impl Painter {
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         target: &wgpu::TextureView,
-        painted: &Painted,
+        painted: &mut Painted,
     ) {
         let Painted { shapes, textures, screen, .. } = painted;
         for (id, deltas) in &textures.set {
@@ -103,6 +103,7 @@ impl Painter {
         for id in &textures.free {
             self.renderer.free_texture(id);
         }
+        textures.clear();
     }
 }
 

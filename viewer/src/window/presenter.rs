@@ -124,7 +124,7 @@ impl Presenter {
         &self,
         frame: &wgpu::SurfaceTexture,
         painter: &mut Painter,
-        painted: &Painted,
+        painted: &mut Painted,
     ) {
         let view = frame.texture.create_view(&wgpu::TextureViewDescriptor::default());
         let descriptor = wgpu::CommandEncoderDescriptor { label: Some("panel") };

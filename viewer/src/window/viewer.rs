@@ -158,7 +158,7 @@ impl<H: Host> Viewer<H> {
         self.tell(stage, selection);
         let datasets = self.host.datasets();
         let mut wishes = Vec::new();
-        let painted = self.is_panel_shown.then(|| {
+        let mut painted = self.is_panel_shown.then(|| {
             let Stage { painter, presenter, .. } = &mut *stage;
             let (panel, settings, figures) = (&mut self.panel, &mut self.settings, &self.figures);
             painter.run(presenter.window(), |context| {
@@ -185,7 +185,7 @@ impl<H: Host> Viewer<H> {
             }
         }
         self.figures.frame_ms = began.elapsed().as_secs_f64() * 1e3;
-        if let Some(painted) = &painted {
+        if let Some(painted) = &mut painted {
             stage.presenter.paint(&frame, &mut stage.painter, painted);
         }
         stage.presenter.end(frame);
