@@ -173,7 +173,7 @@ fn days(text: &str) -> Result<f64, String> {
     days_of_utc(text).ok_or_else(|| format!("{text:?}: expected a date in UTC"))
 }
 
-/// WIDTHxHEIGHT.
+/// `WIDTHxHEIGHT`.
 pub(crate) fn size(text: &str) -> Result<[u32; 2], String> {
     let invalid = || {
         format!("{text:?}: expected WIDTHxHEIGHT, each 1 to 8192, and at most {MOST_PIXELS} pixels")

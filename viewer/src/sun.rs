@@ -12,7 +12,7 @@
 //! # References
 //!
 //! * *Astronomical Almanac*, section C, "Low precision formulas for the Sun".
-//! * M. Allison and M. McEwen, "A post-Pathfinder evaluation of areocentric solar coordinates with
+//! * M. Allison and M. `McEwen`, "A post-Pathfinder evaluation of areocentric solar coordinates with
 //!   improved timing recipes for Mars seasonal/diurnal climate studies", Planetary and Space Science
 //!   48, 2000: equations 16-19, 24-26.
 
@@ -154,7 +154,7 @@ mod tests {
         assert!((longitude - -16.42 / 4.0).abs() < 0.05, "{longitude}");
     }
 
-    /// The worked example of Allison and McEwen 2000 as NASA GISS gives it for Mars24:
+    /// The worked example of Allison and `McEwen` 2000 as NASA GISS gives it for Mars24:
     /// 2000-01-06 00:00 UTC: subsolar longitude 174.726° west, declination -25.2°.
     #[test]
     fn the_sun_over_mars_is_that_of_the_worked_example() {

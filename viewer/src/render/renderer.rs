@@ -510,6 +510,7 @@ impl Renderer {
     /// Meters along the view's axis to what was drawn last, row by row from the top; infinite where no
     /// planet is.
     #[cfg(test)]
+    #[expect(clippy::cast_possible_truncation, reason = "as the shaders have it")]
     pub(crate) fn read_depth_m(&self) -> Vec<f64> {
         let (targets, view) = (self.targets.as_ref().unwrap(), self.drawn.as_ref().unwrap());
         let bytes = read_texture(&self.gpu, &targets.depth);

@@ -23,7 +23,11 @@ pub trait Host {
     /// What was inserted, and what is being, in the order in which it began.
     fn insertions(&self) -> Vec<Insertion>;
 
-    /// Writes a new file whose name begins with `stem`, and says which, or why not.
+    /// Writes a new file whose name begins with `stem`, and says which.
+    ///
+    /// # Errors
+    ///
+    /// Why it cannot, for people.
     fn save(&mut self, stem: &str, content: Content<'_>) -> Result<String, String>;
 }
 
