@@ -129,7 +129,8 @@ fn snapshot_with(
 }
 
 /// Every fourth pixel of 512 × 512, both ways: position within a pixel and a half of where the
-/// ray meets the surface, height within what a pixel resolves.
+/// ray meets the surface, height within what a pixel resolves. What is seen beside the ray is what the
+/// triangles are off by: a quarter of the tolerance is theirs.
 #[test]
 fn positions_and_heights_are_those_of_the_composed_surface() {
     const SIDE: usize = 512;
@@ -174,7 +175,7 @@ fn positions_and_heights_are_those_of_the_composed_surface() {
                     latitude.sin(),
                 );
                 let astray = (direction - drawn.normalize()).length() * MARS_RADIUS / pixel_m;
-                let close = beside < 0.1 && along < 1.5 && height < 1.5 && astray < 0.1;
+                let close = beside < 0.25 && along < 1.5 && height < 1.5 && astray < 0.1;
                 differ += usize::from(!close);
             }
         }
