@@ -3,7 +3,7 @@
 use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 
-use areoid_cache::View;
+use areoid_cache::{Session, View};
 use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::surface_normal;
 use areoid_formats::units::Degrees;
@@ -74,9 +74,6 @@ pub(crate) struct Shot {
 /// Pixels of the largest picture: its deferred buffer takes 40 bytes a pixel.
 const MOST_PIXELS: u32 = 8192 * 2048;
 
-/// Light from everywhere, so that the night side is not black.
-const AMBIENT: f64 = 0.06;
-
 impl Quality {
     pub(crate) fn check(&self) -> Result<(), Failure> {
         if !(self.tolerance_px > 0.0 && self.tolerance_px.is_finite()) {
@@ -100,8 +97,8 @@ impl Shot {
         if let Some(sun) = self.sun {
             position(sun).map_err(Failure::Misused)?;
         }
-        if !(self.exposure > 0.0 && self.exposure.is_finite()) {
-            return misused("--exposure must be a positive number");
+        if !(1e-3..=1e3).contains(&self.exposure) {
+            return misused("--exposure must lie between 0.001 and 1000");
         }
         self.quality.check()
     }
@@ -131,6 +128,14 @@ impl Shot {
         })
     }
 
+    /// Nothing has to be loaded of what a style leaves out.
+    pub(crate) fn hide(&self, session: &mut Session, options: &Options) {
+        if self.style.is_some() {
+            let style = options.style.clone();
+            session.hide(move |info| style.hides(&info.name));
+        }
+    }
+
     /// What is seen from a pose.
     pub(crate) fn view(&self, pose: Pose) -> View {
         pose.view(Degrees(self.fov_deg).into(), self.size, self.quality.tolerance_px)
@@ -148,7 +153,7 @@ impl Shot {
             Some(sun) => sun,
             None => position(self.sun.unwrap_or(beside)).map_err(Failure::Misused)?,
         };
-        Ok(Light { toward_sun: surface_normal(sun), ambient: AMBIENT })
+        Ok(Light { toward_sun: surface_normal(sun), ambient: Light::AMBIENT })
     }
 }
 

@@ -19,6 +19,7 @@
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
+use std::fmt;
 
 use areoid_formats::bvh::{Branch, Parts};
 use areoid_formats::page::Kind;
@@ -26,6 +27,7 @@ use areoid_formats::volume::Volume;
 
 use crate::memo::{Memo, Verdict};
 use crate::scene::{Node, Scene};
+use crate::selection::DatasetInfo;
 use crate::view::{Lens, Sight, View};
 
 /// A page in sight.
@@ -85,10 +87,31 @@ enum Step {
     Climb,
 }
 
-/// The pages that `views` need, with their ancestors within `allowance` bytes. No view needs none.
+/// Says which datasets are hidden.
+type Hides = dyn Fn(&DatasetInfo) -> bool + Send + Sync;
+
+/// Which datasets a session does not want to see; none by default.
+#[derive(Default)]
+pub(crate) struct Hidden(pub(crate) Option<Box<Hides>>);
+
+impl Hidden {
+    fn hides(&self, info: &DatasetInfo) -> bool {
+        self.0.as_ref().is_some_and(|hides| hides(info))
+    }
+}
+
+impl fmt::Debug for Hidden {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Hidden").field(&self.0.is_some()).finish()
+    }
+}
+
+/// The pages that `views` need of what is not hidden, with their ancestors within `allowance` bytes.
+/// No view needs none.
 pub(crate) fn search(
     scene: &Scene,
     memo: &mut Memo,
+    hidden: &Hidden,
     views: &[View],
     allowance: usize,
     found: &mut Found,
@@ -111,7 +134,12 @@ pub(crate) fn search(
     while let Some(Candidate { pixels, place, step }) = found.heap.pop() {
         match step {
             Step::Climb => search.take_apart(place, found),
-            Step::Open => search.open(scene.slots[place], found),
+            Step::Open => {
+                let dataset = scene.slots[place];
+                if !hidden.hides(&scene.datasets[dataset].info) {
+                    search.open(dataset, found);
+                }
+            }
             Step::Draw => {
                 let root = &found.roots[place];
                 let more = scene.datasets[root.dataset].page_bytes(&root.node.entry);

@@ -13,8 +13,8 @@ use crate::matching::{Match, Matcher};
 use crate::memo::Memo;
 use crate::motion::Motion;
 use crate::scene::Scene;
-use crate::search::{Found, search};
-use crate::selection::{Datasets, Selection};
+use crate::search::{Found, Hidden, search};
+use crate::selection::{DatasetInfo, Datasets, Selection};
 use crate::store::{PageName, Store};
 use crate::view::{Lens, View};
 
@@ -43,6 +43,7 @@ pub struct Session {
     motion: Motion,
     /// When it was last looked ahead, and what was found.
     ahead: (Option<Instant>, Found),
+    hidden: Hidden,
     /// Whether pages are loaded that are only expected to be needed; so at first.
     pub look_ahead: bool,
     last: Arc<Selection>,
@@ -103,6 +104,7 @@ impl Session {
             views: Vec::new(),
             motion: Motion::default(),
             ahead: (None, Found::default()),
+            hidden: Hidden::default(),
             look_ahead: true,
             last,
             wanted: [Vec::new(), Vec::new()],
@@ -110,6 +112,13 @@ impl Session {
             news,
             budget_bytes,
         }
+    }
+
+    /// From the next update on, nothing is loaded or shown of the datasets that `hides` names: those
+    /// that a user has switched off. It is asked about datasets in sight, in each search.
+    pub fn hide(&mut self, hides: impl Fn(&DatasetInfo) -> bool + Send + Sync + 'static) {
+        self.hidden = Hidden(Some(Box::new(hides)));
+        self.views.clear();
     }
 
     /// [`Self::update_all`] of one view.
@@ -203,7 +212,7 @@ impl Session {
         let mut visited = 0;
         let next = self.next.as_mut().map(|(_, next)| next);
         for Showing { scene, found } in next.into_iter().chain([&mut self.shown]) {
-            search(scene, &mut self.memo, views, allowance, found);
+            search(scene, &mut self.memo, &self.hidden, views, allowance, found);
             visited += found.visited;
         }
         self.engine.visited.fetch_add(visited as u64, Relaxed);
@@ -338,7 +347,7 @@ impl Session {
         if let (Some(view), 1) =
             (self.motion.predict(Self::LOOK_AHEAD, self.shown.scene.radii()[0].0), self.views.len())
         {
-            search(&self.shown.scene, &mut self.memo, &[view], allowance, found);
+            search(&self.shown.scene, &mut self.memo, &self.hidden, &[view], allowance, found);
             self.matcher.expect(&self.shown.scene, found, store, &mut needs);
         }
         store.replace_ahead(self.number, needs);

@@ -70,6 +70,7 @@ impl Replay<'_> {
         let options = self.shot.options(&ellipsoid)?;
         let mut renderer = Renderer::new(self.gpu, ellipsoid);
         let mut session = cache.session();
+        self.shot.hide(&mut session, &options);
         let (mut frames, mut failed) = (Vec::new(), HashSet::new());
         let mut before = cache.stats();
         let start = Instant::now();

@@ -10,6 +10,7 @@ use areoid_cache::{Cache, Datasets, Selection, Session, Stats, View};
 use areoid_formats::body::Body;
 use areoid_preprocess::build::Proceed;
 use areoid_preprocess::ingest::{Event, Request};
+use areoid_viewer::Style;
 use areoid_viewer::window::{Content, Host, Insertion, InsertionState};
 use serde_json::json;
 
@@ -38,6 +39,11 @@ impl CacheHost {
 }
 
 impl Host for CacheHost {
+    fn follow(&mut self, style: &Style) {
+        let style = style.clone();
+        self.session.hide(move |info| style.hides(&info.name));
+    }
+
     fn update(&mut self, views: &[View]) -> Arc<Selection> {
         self.session.update_all(views)
     }

@@ -176,6 +176,12 @@ impl Style {
         self.layers.iter().filter(named).max_by_key(|layer| layer.closeness(dataset))
     }
 
+    /// Whether a dataset has no weight: nothing of it has to be loaded.
+    #[must_use]
+    pub fn hides(&self, dataset: &str) -> bool {
+        self.layer(dataset).is_some_and(|layer| layer.weight == 0.0)
+    }
+
     /// How a dataset of a name, a kind and a priority of its own takes part.
     pub(crate) fn part(&self, dataset: &str, kind: Kind, priority: i32) -> Part {
         let Some(layer) = self.layer(dataset) else {
@@ -284,6 +290,8 @@ mod tests {
                 r#"{"ramp": {"stops": [{"height_m": 1, "color": [0,0,0]}], "opacity": -1}}"#,
                 "opacity",
             ),
+            (r#"{"ramp": {"stops": [{"height_m": 1e39, "color": [0,0,0]}]}}"#, "no style"),
+            (r#"{"ramp": {"stops": [{"height_m": 0, "color": [0,0,256]}]}}"#, "no style"),
         ] {
             let error = Style::from_json(text).unwrap_err().to_string();
             assert!(error.contains(told), "{text}: {error}");

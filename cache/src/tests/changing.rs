@@ -47,6 +47,27 @@ fn a_replaced_dataset_is_drawn_until_the_new_one_is_there() {
     assert_eq!(after.pages.len(), before.pages.len());
 }
 
+/// Nothing is read of what a user has switched off, and it is there again when it is switched on.
+#[test]
+fn what_is_hidden_is_not_loaded() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let colors = Gated::new("colors", cap(), Kind::Color);
+    let cache = globe.cache(PLENTY, 2);
+    cache.insert(colors.info.clone(), Arc::clone(&colors.archive) as _).unwrap();
+    let mut session = cache.session();
+    session.hide(|info| info.name == "colors");
+    let near = view(0.0, 85.0, 3e5, 30.0);
+    let hidden = session.settle(&near);
+    assert_eq!((numbers(&hidden), hidden.missing), (BTreeSet::from([0]), 0));
+    assert!(colors.page_reads().is_empty(), "{:?}", colors.page_reads());
+
+    session.hide(|_| false);
+    let shown = session.settle(&near);
+    assert_eq!((numbers(&shown), shown.missing), (BTreeSet::from([0, 1]), 0));
+    session.hide(|info| info.kind == Kind::Height);
+    assert_eq!(numbers(&session.settle(&near)), BTreeSet::from([1]));
+}
+
 /// What cannot be loaded in time is not waited for: the catalog of now is shown with what there is.
 #[test]
 fn a_change_is_shown_within_its_time() {

@@ -27,7 +27,8 @@ fn scene(datasets: &[&Gated]) -> Scene {
 
 fn search(scene: &Scene, memo: &mut Memo, view: &View, allowance: usize) -> Found {
     let mut found = Found::default();
-    crate::search::search(scene, memo, std::slice::from_ref(view), allowance, &mut found);
+    let (hidden, views) = (crate::search::Hidden::default(), std::slice::from_ref(view));
+    crate::search::search(scene, memo, &hidden, views, allowance, &mut found);
     found
 }
 

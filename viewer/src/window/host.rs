@@ -5,9 +5,14 @@ use std::sync::Arc;
 
 use areoid_cache::{Datasets, Selection, Stats, View};
 
+use crate::style::Style;
+
 /// Where a window's pages come from, and where rasters, pictures and flights go. All of it is called
 /// on the thread that draws, and none of it may wait.
 pub trait Host {
+    /// From the next update on, nothing has to be loaded of what a style leaves out.
+    fn follow(&mut self, style: &Style);
+
     /// The pages in memory for views that are shown side by side.
     fn update(&mut self, views: &[View]) -> Arc<Selection>;
 

@@ -6,6 +6,7 @@ use winit::window::Window;
 
 use super::WindowError;
 use super::painter::{Painted, Painter};
+use crate::full_screen::FullScreen;
 use crate::gpu::Gpu;
 
 /// A configured surface.
@@ -157,39 +158,10 @@ fn pipeline(
             count: None,
         }],
     });
-    let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some("present"),
-        source: wgpu::ShaderSource::Wgsl(crate::shader::PRESENT.into()),
-    });
-    let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-        label: Some("present"),
-        bind_group_layouts: &[Some(&layout)],
-        immediate_size: 0,
-    });
-    let constants = [("ENCODES", f64::from(u8::from(format.is_srgb())))];
-    let pipeline = gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("present"),
-        layout: Some(&pipeline_layout),
-        vertex: wgpu::VertexState {
-            module: &module,
-            entry_point: Some("whole_screen"),
-            compilation_options: wgpu::PipelineCompilationOptions::default(),
-            buffers: &[],
-        },
-        primitive: wgpu::PrimitiveState::default(),
-        depth_stencil: None,
-        multisample: wgpu::MultisampleState::default(),
-        fragment: Some(wgpu::FragmentState {
-            module: &module,
-            entry_point: Some("present"),
-            compilation_options: wgpu::PipelineCompilationOptions {
-                constants: &constants,
-                ..Default::default()
-            },
-            targets: &[Some(format.into())],
-        }),
-        multiview_mask: None,
-        cache: None,
-    });
+    let constants = &[("ENCODES", f64::from(u8::from(format.is_srgb())))];
+    let (label, source, entry_point) = ("present", crate::shader::PRESENT, "present");
+    let groups = &[&layout];
+    let pass = FullScreen { label, source, entry_point, constants, groups, format };
+    let pipeline = pass.pipeline(gpu);
     (layout, pipeline)
 }

@@ -46,8 +46,6 @@ pub(super) struct Settings {
     pub(super) arrangement: Arrangement,
 }
 
-const AMBIENT: f64 = 0.06;
-
 impl Settings {
     pub(super) fn new(tolerance_px: f64, style: Style) -> Self {
         Self {
@@ -73,7 +71,7 @@ impl Settings {
             }
             _ => surface_normal(focus) - 0.7 * right + 0.5 * up,
         };
-        Light { toward_sun, ambient: AMBIENT }
+        Light { toward_sun, ambient: Light::AMBIENT }
     }
 
     /// How to draw at a time.

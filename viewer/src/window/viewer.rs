@@ -130,6 +130,10 @@ impl<H: Host> Viewer<H> {
     fn draw(&mut self) {
         let Some(mut stage) = self.stage.take() else { return };
         let views = self.views(&stage);
+        let is_known = |(_, _, drawn): &(_, _, Settings)| drawn.style == self.settings.style;
+        if !stage.drawn.as_ref().is_some_and(is_known) {
+            self.host.follow(&self.settings.style);
+        }
         let selection = self.host.update(&views);
         self.record(&views);
         let insertions = self.host.insertions();
