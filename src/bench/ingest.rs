@@ -152,16 +152,7 @@ impl Args {
         });
         let title = "Ingest, measured";
         let report = Report { title, options, peers: setting.peers.clone(), chapters };
-        let document = report.json();
-        let bytes = serde_json::to_vec_pretty(&document).map_err(io::Error::from)?;
-        output::write_file(&setting.folder.join("ingest.json"), &bytes)?;
-        let tables = report.markdown();
-        output::write_file(&setting.folder.join("ingest.md"), tables.as_bytes())?;
-        if self.json {
-            output::json(&document)?;
-        } else {
-            output::line(tables)?;
-        }
+        report.hand_out(&setting.folder, "ingest", self.json)?;
         Ok(ExitCode::SUCCESS)
     }
 }

@@ -2,12 +2,16 @@
 
 use std::fmt::Write as _;
 use std::fs;
+use std::io;
+use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::peers::Peers;
+use crate::failure::Failure;
+use crate::output;
 pub(super) use crate::quantile::quantile;
 
 /// Least, median and greatest.
@@ -98,6 +102,16 @@ pub(super) struct Report {
 }
 
 impl Report {
+    /// Writes it into `folder` as `name.json` and `name.md`, and prints one of them.
+    pub(super) fn hand_out(&self, folder: &Path, name: &str, as_json: bool) -> Result<(), Failure> {
+        let document = self.json();
+        let bytes = serde_json::to_vec_pretty(&document).map_err(io::Error::from)?;
+        output::write_file(&folder.join(format!("{name}.json")), &bytes)?;
+        let tables = self.markdown();
+        output::write_file(&folder.join(format!("{name}.md")), tables.as_bytes())?;
+        if as_json { output::json(&document) } else { output::line(tables) }
+    }
+
     pub(super) fn json(&self) -> Value {
         let targets: Vec<&Target> =
             self.chapters.iter().flat_map(|chapter| &chapter.targets).collect();

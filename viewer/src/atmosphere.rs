@@ -31,6 +31,7 @@
 use areoid_formats::body::Ellipsoid;
 use glam::DVec3;
 
+use crate::known_body::KnownBody;
 use crate::mirror;
 
 /// What air is made of.
@@ -78,14 +79,10 @@ impl Atmosphere {
     /// That of a body of this size, if one is known.
     #[must_use]
     pub fn of(body: &Ellipsoid) -> Option<Self> {
-        let is_near = |radius_m: f64| (body.a().0 / radius_m - 1.0).abs() < 5e-3;
-        if is_near(6_378_137.0) {
-            Some(Self::EARTH)
-        } else if is_near(3_396_190.0) {
-            Some(Self::MARS)
-        } else {
-            None
-        }
+        KnownBody::of(body).map(|body| match body {
+            KnownBody::Earth => Self::EARTH,
+            KnownBody::Mars => Self::MARS,
+        })
     }
 }
 

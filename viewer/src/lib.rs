@@ -10,6 +10,8 @@ pub use areoid_cache::camera;
 
 pub mod orbit;
 
+mod known_body;
+
 pub mod style;
 
 pub mod sun;
@@ -29,6 +31,8 @@ mod map;
 mod mesh;
 
 mod gpu;
+
+mod full_screen;
 
 mod atlas;
 

@@ -20,6 +20,8 @@ use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::Geographic;
 use areoid_formats::units::Degrees;
 
+use crate::known_body::KnownBody;
+
 /// Days since J2000.0 of a UTC date, as in `2026-11-29` or `2026-11-29T08:41:46Z`.
 ///
 /// ```
@@ -35,7 +37,13 @@ pub fn days_of_utc(text: &str) -> Option<f64> {
     let mut parts = date.splitn(3, '-');
     let year: i64 = parts.next()?.parse().ok().filter(|year| (1..=9999).contains(year))?;
     let month: i64 = parts.next()?.parse().ok().filter(|month| (1..=12).contains(month))?;
-    let day: i64 = parts.next()?.parse().ok().filter(|day| (1..=31).contains(day))?;
+    let is_leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
+    let length = match month {
+        2 => 28 + i64::from(is_leap),
+        4 | 6 | 9 | 11 => 30,
+        _ => 31,
+    };
+    let day: i64 = parts.next()?.parse().ok().filter(|day| (1..=length).contains(day))?;
     let mut clock = time.splitn(3, ':');
     let mut next = |below: f64| match clock.next() {
         None => Some(0.0),
@@ -53,13 +61,9 @@ pub fn days_of_utc(text: &str) -> Option<f64> {
 /// Where the sun is in the zenith: on the Earth or on Mars, told by the body's size.
 #[must_use]
 pub fn subsolar(body: &Ellipsoid, days: f64) -> Option<Geographic> {
-    let is_near = |radius_m: f64| (body.a().0 / radius_m - 1.0).abs() < 5e-3;
-    let (longitude, declination) = if is_near(6_378_137.0) {
-        over_earth(days)
-    } else if is_near(3_396_190.0) {
-        over_mars(days)
-    } else {
-        return None;
+    let (longitude, declination) = match KnownBody::of(body)? {
+        KnownBody::Earth => over_earth(days),
+        KnownBody::Mars => over_mars(days),
     };
     // The sun's rays are the ellipsoid's normals there: a declination is a geographic latitude.
     Some(Geographic::from_degrees(Degrees(turned(longitude)), Degrees(declination)))
@@ -132,7 +136,9 @@ mod tests {
         assert_eq!(days_of_utc("2000-03-01T12:00:00Z"), Some(60.0));
         assert_eq!(days_of_utc("2001-01-01T12:00"), Some(366.0));
         assert_eq!(days_of_utc("1999-12-31T12:00:00"), Some(-1.0));
-        for text in ["", "2000", "2000-13-01", "2000-01-01T25:00", "2000-01-01T10:99"] {
+        assert_eq!(days_of_utc("2000-02-29T12:00:00"), Some(59.0));
+        for text in ["", "2000", "2000-13-01", "2000-01-01T25:00", "2000-01-01T10:99", "2026-02-29"]
+        {
             assert_eq!(days_of_utc(text), None, "{text}");
         }
     }

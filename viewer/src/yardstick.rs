@@ -1,5 +1,6 @@
 //! The cheapest whole picture that a device can draw: what the cost of a frame is measured in.
 
+use crate::full_screen::FullScreen;
 use crate::gpu::Gpu;
 
 /// One pass over a picture that computes nothing worth the name.
@@ -17,35 +18,17 @@ impl Yardstick {
     #[must_use]
     pub fn new(gpu: &Gpu, [width, height]: [u32; 2]) -> Self {
         const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
-        let label = Some("yardstick");
-        let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label,
-            source: wgpu::ShaderSource::Wgsl(SHADER.into()),
-        });
-        let compilation_options = wgpu::PipelineCompilationOptions::default;
-        let pipeline = gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label,
-            layout: None,
-            vertex: wgpu::VertexState {
-                module: &module,
-                entry_point: Some("whole_screen"),
-                compilation_options: compilation_options(),
-                buffers: &[],
-            },
-            primitive: wgpu::PrimitiveState::default(),
-            depth_stencil: None,
-            multisample: wgpu::MultisampleState::default(),
-            fragment: Some(wgpu::FragmentState {
-                module: &module,
-                entry_point: Some("fill"),
-                compilation_options: compilation_options(),
-                targets: &[Some(FORMAT.into())],
-            }),
-            multiview_mask: None,
-            cache: None,
-        });
+        let pass = FullScreen {
+            label: "yardstick",
+            source: SHADER,
+            entry_point: "fill",
+            constants: &[],
+            groups: &[],
+            format: FORMAT,
+        };
+        let pipeline = pass.pipeline(gpu);
         let picture = gpu.device.create_texture(&wgpu::TextureDescriptor {
-            label,
+            label: Some("yardstick"),
             size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
             mip_level_count: 1,
             sample_count: 1,

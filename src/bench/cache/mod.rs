@@ -29,7 +29,6 @@ mod tree;
 pub(super) use replay::clock;
 
 use std::fs;
-use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -151,16 +150,7 @@ impl Args {
         let options = json!({ "seconds": self.seconds, "share": self.share });
         let title = "The cache, measured";
         let report = Report { title, options, peers, chapters };
-        let document = report.json();
-        let bytes = serde_json::to_vec_pretty(&document).map_err(io::Error::from)?;
-        output::write_file(&self.output.join("cache.json"), &bytes)?;
-        let tables = report.markdown();
-        output::write_file(&self.output.join("cache.md"), tables.as_bytes())?;
-        if self.json {
-            output::json(&document)?;
-        } else {
-            output::line(tables)?;
-        }
+        report.hand_out(&self.output, "cache", self.json)?;
         Ok(ExitCode::SUCCESS)
     }
 }

@@ -12,7 +12,6 @@ mod stage;
 mod world;
 
 use std::fs;
-use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -128,16 +127,7 @@ impl Args {
         });
         let title = "The viewer, measured";
         let report = Report { title, options, peers: Peers::none(), chapters };
-        let document = report.json();
-        let bytes = serde_json::to_vec_pretty(&document).map_err(io::Error::from)?;
-        output::write_file(&self.output.join("view.json"), &bytes)?;
-        let tables = report.markdown();
-        output::write_file(&self.output.join("view.md"), tables.as_bytes())?;
-        if self.json {
-            output::json(&document)?;
-        } else {
-            output::line(tables)?;
-        }
+        report.hand_out(&self.output, "view", self.json)?;
         Ok(ExitCode::SUCCESS)
     }
 }

@@ -2,6 +2,8 @@
 
 mod aovs;
 mod buffers;
+mod options;
+mod pattern;
 mod pipelines;
 mod renderer;
 mod resident;
@@ -11,4 +13,5 @@ mod targets;
 pub(crate) mod testing;
 
 pub use aovs::Aovs;
-pub use renderer::{Debug, FrameStatistics, Image, Light, Options, Relief, Renderer};
+pub use options::{Debug, FrameStatistics, Image, Light, Options, Relief};
+pub use renderer::Renderer;

@@ -1,5 +1,6 @@
 //! The three programs and what they bind.
 
+use crate::full_screen::FullScreen;
 use crate::gpu::Gpu;
 use crate::mesh::detail::SEGMENTS;
 use crate::shader::Program;
@@ -171,28 +172,9 @@ fn mesh_pipeline(gpu: &Gpu, groups: &[&wgpu::BindGroupLayout]) -> wgpu::RenderPi
 }
 
 fn shade_pipeline(gpu: &Gpu, groups: &[&wgpu::BindGroupLayout]) -> wgpu::RenderPipeline {
-    let module = module(gpu, "shade", Program::Shade);
-    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("shade"),
-        layout: Some(&pipeline_layout(gpu, "shade", groups)),
-        vertex: wgpu::VertexState {
-            module: &module,
-            entry_point: Some("whole_screen"),
-            compilation_options: options(),
-            buffers: &[],
-        },
-        primitive: wgpu::PrimitiveState::default(),
-        depth_stencil: None,
-        multisample: wgpu::MultisampleState::default(),
-        fragment: Some(wgpu::FragmentState {
-            module: &module,
-            entry_point: Some("shade"),
-            compilation_options: options(),
-            targets: &[Some(PICTURE.into())],
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
+    let source = &Program::Shade.source();
+    let (label, entry_point, constants, format) = ("shade", "shade", &CONSTANTS[..], PICTURE);
+    FullScreen { label, source, entry_point, constants, groups, format }.pipeline(gpu)
 }
 
 fn measure_pipeline(gpu: &Gpu, groups: &[&wgpu::BindGroupLayout]) -> wgpu::ComputePipeline {

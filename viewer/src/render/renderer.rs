@@ -6,20 +6,21 @@
 //!                                                        └───────▶ measure ─▶ AOVs
 //! ```
 
-use areoid_cache::{Selection, View};
+use areoid_cache::{Datasets, Selection, View};
 use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::geographic_from_normal;
 use areoid_formats::page::Kind;
-use areoid_formats::units::{Degrees, Radians};
 use bytemuck::Zeroable;
 use glam::DVec3;
 
 use super::aovs::Aovs;
 use super::buffers::Growing;
+use super::options::{FrameStatistics, Image, Light, Options};
+use super::pattern::Pattern;
 use super::pipelines::Pipelines;
 use super::resident::{Brought, Clock, Resident};
 use super::targets::{Targets, read_buffer, read_texture};
-use crate::atmosphere::{Air, Atmosphere};
+use crate::atmosphere::Air;
 use crate::camera::pixel_angle;
 use crate::gpu::Gpu;
 use crate::mesh::detail::{Detail, SEGMENTS};
@@ -28,128 +29,6 @@ use crate::mirror;
 use crate::pick::{Picked, pick};
 use crate::style::{Ramp, Style};
 use crate::surface::{BARE_COLOR, Surface};
-
-/// Where light comes from.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Light {
-    /// Toward the sun, body-fixed, of any length but 0.
-    pub toward_sun: DVec3,
-    /// Share of light that comes from everywhere, 0 to 1.
-    pub ambient: f64,
-}
-
-/// How to draw.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Options {
-    /// Factor on heights: 1 is true to scale.
-    pub vertical_exaggeration: f64,
-    /// sRGB codes where no planet is.
-    pub background: [u8; 3],
-    /// Bytes of pages that one frame may write to the GPU.
-    pub upload_limit_bytes: u64,
-    /// How the datasets take part.
-    pub style: Style,
-    /// The air, if it shows.
-    pub atmosphere: Option<Atmosphere>,
-    /// Light from one direction of the map everywhere, instead of the sun's.
-    pub relief: Option<Relief>,
-    /// Factor on light.
-    pub exposure: f64,
-    /// What is shown of how it was made.
-    pub debug: Debug,
-    /// The time of the frame, since any moment.
-    pub seconds: f64,
-    /// How long a page that has come takes to show wholly; at 0 it does at once.
-    pub fade_seconds: f64,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            vertical_exaggeration: 1.0,
-            background: [0; 3],
-            upload_limit_bytes: u64::MAX,
-            style: Style::default(),
-            atmosphere: None,
-            relief: None,
-            exposure: 1.0,
-            debug: Debug::Off,
-            seconds: 0.0,
-            fade_seconds: 0.0,
-        }
-    }
-}
-
-/// What the picture shows instead of the ground's colors.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Debug {
-    /// Nothing else.
-    #[default]
-    Off,
-    /// A color for each level of detail.
-    Level,
-    /// A color for each dataset.
-    Dataset,
-    /// The outlines of pages.
-    Borders,
-    /// Red where a coarser page stands in, blue where a finer one does.
-    Residency,
-}
-
-/// The light of shaded relief: on maps from the northwest, halfway up.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Relief {
-    /// Where it comes from, clockwise from north.
-    pub azimuth: Radians,
-    /// Above the horizon.
-    pub elevation: Radians,
-}
-
-impl Default for Relief {
-    fn default() -> Self {
-        Self { azimuth: Degrees(315.0).into(), elevation: Degrees(45.0).into() }
-    }
-}
-
-impl Options {
-    /// As a window draws: an upload is no longer than a frame can bear, and what comes fades in.
-    #[must_use]
-    pub fn interactive() -> Self {
-        Self { upload_limit_bytes: 16 << 20, fade_seconds: 0.25, ..Self::default() }
-    }
-}
-
-/// A picture: four bytes a pixel, red first, row by row from the top.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Image {
-    /// Pixels in a row.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// sRGB codes and an alpha of 255.
-    pub rgba: Vec<u8>,
-}
-
-/// What a frame cost.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct FrameStatistics {
-    /// Patches drawn.
-    pub patches: usize,
-    /// Triangles drawn.
-    pub triangles: usize,
-    /// Pages written to the GPU.
-    pub uploaded_pages: usize,
-    /// Bytes of their texels.
-    pub uploaded_bytes: u64,
-    /// Pages put off to the next frame: draw again.
-    pub pending_pages: usize,
-    /// Pages that do not show wholly yet: draw again.
-    pub coming_pages: usize,
-    /// Whether nothing was drawn, because the picture is that of the frame before.
-    pub is_same: bool,
-    /// Pages for which the atlas has no room.
-    pub left_out_pages: usize,
-}
 
 /// Meters to the near plane where terrain may be about the eye.
 const NEAR_M: f64 = 0.05;
@@ -183,11 +62,11 @@ pub struct Renderer {
 }
 
 /// A state of pages: the same twice means that nothing has to be brought.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 struct Known {
+    /// Whose list it is: no other session has the same.
+    datasets: Datasets,
     generation: u64,
-    scene: u64,
-    pages: usize,
     exaggeration: f64,
     style: Style,
     brought: Brought,
@@ -201,14 +80,6 @@ struct Storages {
     table: Growing,
     edges: Growing,
     patches: Growing,
-}
-
-/// The triangles of any patch.
-#[derive(Debug)]
-struct Pattern {
-    steps: wgpu::Buffer,
-    indices: wgpu::Buffer,
-    index_count: u32,
 }
 
 impl Renderer {
@@ -329,9 +200,8 @@ impl Renderer {
     /// Brings what is new of a selection to the GPU; `None` if nothing is.
     fn follow(&mut self, selection: &Selection, options: &Options) -> Option<Brought> {
         let is_done = |known: &Known| {
-            known.generation == selection.generation
-                && known.scene == selection.scene
-                && known.pages == selection.pages.len()
+            known.datasets.is(&selection.datasets)
+                && known.generation == selection.generation
                 && known.exaggeration == options.vertical_exaggeration
                 && known.style == options.style
                 && (known.brought.put_off, known.brought.coming) == (0, 0)
@@ -356,9 +226,8 @@ impl Renderer {
         self.detail.renew(&self.surface, options.vertical_exaggeration);
         self.exaggeration = options.vertical_exaggeration;
         self.known = Some(Known {
+            datasets: selection.datasets.clone(),
             generation: selection.generation,
-            scene: selection.scene,
-            pages: selection.pages.len(),
             exaggeration: options.vertical_exaggeration,
             style: options.style.clone(),
             brought,
@@ -597,42 +466,4 @@ fn bind<const N: usize>(
         layout,
         entries: &entries,
     })
-}
-
-impl Pattern {
-    fn new(gpu: &Gpu) -> Self {
-        let side = i32::try_from(SEGMENTS).expect("a patch has few segments");
-        let steps: Vec<[i32; 2]> =
-            (0..=side).flat_map(|b| (0..=side - b).map(move |c| [b, c])).collect();
-        // Row b starts behind the rows before it, each one vertex shorter than the last.
-        let vertex = |b: i32, c: i32| {
-            u16::try_from(b * (side + 1) - b * (b - 1) / 2 + c).expect("a patch has few vertices")
-        };
-        let mut indices: Vec<u16> = Vec::new();
-        for b in 0..side {
-            for c in 0..side - b {
-                indices.extend([vertex(b, c), vertex(b + 1, c), vertex(b, c + 1)]);
-                if b + c < side - 1 {
-                    indices.extend([vertex(b + 1, c), vertex(b + 1, c + 1), vertex(b, c + 1)]);
-                }
-            }
-        }
-        let index_count = u32::try_from(indices.len()).expect("a patch has few triangles");
-        if indices.len() % 2 == 1 {
-            indices.push(0);
-        }
-        let buffer = |label, bytes: &[u8], usage| {
-            let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: bytes.len() as u64,
-                usage: usage | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            });
-            gpu.queue.write_buffer(&buffer, 0, bytes);
-            buffer
-        };
-        let steps = buffer("steps", bytemuck::cast_slice(&steps), wgpu::BufferUsages::VERTEX);
-        let indices = buffer("indices", bytemuck::cast_slice(&indices), wgpu::BufferUsages::INDEX);
-        Self { steps, indices, index_count }
-    }
 }

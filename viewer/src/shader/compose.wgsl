@@ -37,9 +37,9 @@ fn read_found(found: Found, base: f32, plane: u32) -> Texel {
         return read_height(found, base);
     }
     if plane == NORMALS {
-        return read_normal(found);
+        return read_codes(normal_atlas, found);
     }
-    return read_color(found);
+    return read_codes(color_atlas, found);
 }
 
 fn blend_texels(a: Texel, b: Texel, t: f32) -> Texel {

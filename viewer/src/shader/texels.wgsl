@@ -62,32 +62,17 @@ fn read_height(found: Found, base: f32) -> Texel {
     );
 }
 
-// sRGB codes, 0 to 1.
-fn read_color(found: Found) -> Texel {
+// Codes, 0 to 1: sRGB, or what areoid_formats::normal says.
+fn read_codes(atlas: texture_2d_array<f32>, found: Found) -> Texel {
     let slot = i32(found.entry & 0xffffu);
     let t = found.t;
     let at = found.tap;
     let weights = vec4f((1.0 - t.x) * (1.0 - t.y), t.x * (1.0 - t.y), (1.0 - t.x) * t.y, t.x * t.y);
     return blend_taps(
-        textureLoad(color_atlas, at, slot, 0),
-        textureLoad(color_atlas, at + vec2i(1, 0), slot, 0),
-        textureLoad(color_atlas, at + vec2i(0, 1), slot, 0),
-        textureLoad(color_atlas, at + vec2i(1, 1), slot, 0),
-        weights,
-    );
-}
-
-// Codes, 0 to 1: what they mean says areoid_formats::normal.
-fn read_normal(found: Found) -> Texel {
-    let slot = i32(found.entry & 0xffffu);
-    let t = found.t;
-    let at = found.tap;
-    let weights = vec4f((1.0 - t.x) * (1.0 - t.y), t.x * (1.0 - t.y), (1.0 - t.x) * t.y, t.x * t.y);
-    return blend_taps(
-        textureLoad(normal_atlas, at, slot, 0),
-        textureLoad(normal_atlas, at + vec2i(1, 0), slot, 0),
-        textureLoad(normal_atlas, at + vec2i(0, 1), slot, 0),
-        textureLoad(normal_atlas, at + vec2i(1, 1), slot, 0),
+        textureLoad(atlas, at, slot, 0),
+        textureLoad(atlas, at + vec2i(1, 0), slot, 0),
+        textureLoad(atlas, at + vec2i(0, 1), slot, 0),
+        textureLoad(atlas, at + vec2i(1, 1), slot, 0),
         weights,
     );
 }
