@@ -3,7 +3,7 @@
 use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 
-use areoid_cache::{Session, View};
+use areoid_cache::{Cache, Session, View};
 use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::surface_normal;
 use areoid_formats::units::Degrees;
@@ -13,7 +13,8 @@ use areoid_viewer::{Atmosphere, Image, Light, Options, Relief, Style};
 use image::{ImageBuffer, ImageError, ImageFormat, RgbaImage};
 
 use crate::args::{numbers, position};
-use crate::failure::Failure;
+use crate::failure::{Failure, in_full};
+use crate::output;
 
 /// How good a picture has to be, and what that may take.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -103,8 +104,9 @@ impl Shot {
         self.quality.check()
     }
 
-    /// How pictures of a body are drawn.
-    pub(crate) fn options(&self, body: &Ellipsoid) -> Result<Options, Failure> {
+    /// How pictures of a cache are drawn.
+    pub(crate) fn options(&self, cache: &Cache) -> Result<Options, Failure> {
+        let body = &cache.body().ellipsoid;
         let known = |what: &str| {
             Failure::Misused(format!(
                 "{what} is for the Earth and Mars: the catalog shows another body"
@@ -120,7 +122,7 @@ impl Shot {
         }
         Ok(Options {
             vertical_exaggeration: self.exaggeration,
-            style: self.style.as_deref().map(read_style).transpose()?.unwrap_or_default(),
+            style: read_style(self.style.as_deref(), cache)?,
             atmosphere,
             relief: self.relief.then(Relief::default),
             exposure: self.exposure,
@@ -166,12 +168,19 @@ pub(crate) fn png(picture: Image) -> Result<Vec<u8>, ImageError> {
     Ok(bytes.into_inner())
 }
 
-/// The style in a file.
-pub(crate) fn read_style(path: &Path) -> Result<Style, Failure> {
+/// The style in a file, if there is one, for a cache's datasets.
+pub(crate) fn read_style(path: Option<&Path>, cache: &Cache) -> Result<Style, Failure> {
+    let Some(path) = path else { return Ok(Style::default()) };
+    let shown = path.display();
     let text = std::fs::read_to_string(path).map_err(|source| {
-        io::Error::new(source.kind(), format!("cannot read {}: {source}", path.display()))
+        io::Error::new(source.kind(), format!("cannot read the style {shown}: {source}"))
     })?;
-    Ok(Style::from_json(&text)?)
+    let style = Style::from_json(&text)
+        .map_err(|error| io::Error::other(format!("{shown}: {}", in_full(&error))))?;
+    for name in style.unknown(&cache.datasets()) {
+        output::say(format_args!("warning: {shown} names {name:?}, which is no dataset here"));
+    }
+    Ok(style)
 }
 
 fn days(text: &str) -> Result<f64, String> {

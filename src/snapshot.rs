@@ -76,7 +76,7 @@ impl Args {
         let [longitude, latitude, _] = self.eye;
         let ellipsoid = &cache.body().ellipsoid;
         let light = self.shot.light(ellipsoid, [longitude, latitude])?;
-        let options = self.shot.options(ellipsoid)?;
+        let options = self.shot.options(&cache)?;
 
         let gpu = Gpu::headless()?;
         let mut renderer = Renderer::new(&gpu, cache.body().ellipsoid);

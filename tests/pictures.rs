@@ -14,6 +14,7 @@ mod support {
 
 mod flight {
     mod fly;
+    mod styles;
 }
 
 use std::path::{Path, PathBuf};

@@ -67,7 +67,7 @@ impl Replay<'_> {
         mut each: impl FnMut(u32, &Renderer) -> Result<(), Failure>,
     ) -> Result<Flown, Failure> {
         let ellipsoid = cache.body().ellipsoid;
-        let options = self.shot.options(&ellipsoid)?;
+        let options = self.shot.options(cache)?;
         let mut renderer = Renderer::new(self.gpu, ellipsoid);
         let mut session = cache.session();
         self.shot.hide(&mut session, &options);

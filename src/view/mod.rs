@@ -50,8 +50,8 @@ impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
         self.quality.check()?;
         let start = position(self.start).map_err(Failure::Misused)?;
-        let style = self.style.as_deref().map(read_style).transpose()?.unwrap_or_default();
         let cache = self.source.open(self.quality.memory_mib)?;
+        let style = read_style(self.style.as_deref(), &cache)?;
         let window = WindowOptions {
             title: format!("Areoid: {}", self.source.name()),
             ellipsoid: cache.body().ellipsoid,

@@ -10,6 +10,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use areoid_cache::Datasets;
 use areoid_formats::page::Kind;
 
 /// What a dataset of colors is taken for.
@@ -174,6 +175,13 @@ impl Style {
     pub fn layer(&self, dataset: &str) -> Option<&Layer> {
         let named = |layer: &&Layer| layer.closeness(dataset).is_some();
         self.layers.iter().filter(named).max_by_key(|layer| layer.closeness(dataset))
+    }
+
+    /// The names that mean none of some datasets.
+    pub fn unknown(&self, datasets: &Datasets) -> impl Iterator<Item = &str> {
+        let is_known =
+            |layer: &&Layer| datasets.iter().any(|(_, info)| layer.closeness(&info.name).is_some());
+        self.layers.iter().filter(move |layer| !is_known(layer)).map(|layer| layer.dataset.as_str())
     }
 
     /// Whether a dataset has no weight: nothing of it has to be loaded.
