@@ -27,10 +27,13 @@ pub(crate) struct Scene {
     pub(crate) ramp: [[f32; 4]; 16],
     pub(crate) ramp_stops: u32,
     pub(crate) ramp_opacity: f32,
-    pub(crate) lod_bias: f32,
+    pub(crate) anisotropy: i32,
     pub(crate) exposure: f32,
     pub(crate) relief: [f32; 3],
     pub(crate) debug: u32,
+    pub(crate) slot_bounds: i32,
+    pub(crate) tolerance_px: f32,
+    pub(crate) _pad: [u32; 2],
 }
 
 /// Mirrors `struct Atmosphere` of `shader/atmosphere.wgsl`.

@@ -39,6 +39,7 @@ impl Program {
                 include_str!("shader/color.wgsl"),
                 include_str!("shader/atmosphere.wgsl"),
                 include_str!("shader/debug.wgsl"),
+                include_str!("shader/footprint.wgsl"),
                 include_str!("shader/shade.wgsl"),
             ],
             Self::Measure => &[deferred, include_str!("shader/measure.wgsl")],

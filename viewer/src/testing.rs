@@ -178,6 +178,8 @@ mod composition;
 
 mod cracks;
 
+mod footprints;
+
 mod jitter;
 
 mod pops;

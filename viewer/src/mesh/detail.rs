@@ -21,7 +21,7 @@ use glam::DVec3;
 
 use super::frame::reference_point;
 use super::sphere::distance_to_triangle;
-use super::tree::Verdict;
+use super::tree::{Asked, Note, Verdict};
 use crate::camera::pixel_angle;
 use crate::map::Cap;
 use crate::style::Plane;
@@ -71,6 +71,8 @@ pub(crate) struct Detail {
     /// Exaggerated.
     range_m: (f64, f64),
     heights: HashMap<[u64; 3], f32>,
+    /// Numbers of places, those about one triangle after those about another: of one view.
+    about: Vec<u32>,
     pub(crate) exaggeration: f64,
 }
 
@@ -112,18 +114,43 @@ impl Detail {
         })
     }
 
+    /// Notes the pages that meet a triangle; what meets it meets its parent, of which `parent` tells.
+    fn note(&mut self, parent: Option<Note>, center: DVec3, radius: f64) -> Note {
+        let first = self.about.len();
+        let meets = |place: &PagePlace| place.cap.meets(center, radius);
+        match parent {
+            None => {
+                let places = (0..).zip(&self.places).filter(|(_, place)| meets(place));
+                self.about.extend(places.map(|(number, _)| number));
+            }
+            Some(parent) => {
+                for at in parent.first..parent.end {
+                    let number = self.about[at as usize];
+                    if meets(&self.places[number as usize]) {
+                        self.about.push(number);
+                    }
+                }
+            }
+        }
+        let count = |at: usize| u32::try_from(at).expect("fewer pages and triangles than 2^32");
+        Note { first: count(first), end: count(self.about.len()) }
+    }
+
+    fn noted(&self, note: Note) -> impl Iterator<Item = &PagePlace> {
+        let numbers = &self.about[note.first as usize..note.end as usize];
+        numbers.iter().map(|&number| &self.places[number as usize])
+    }
+
     /// Ground meters to the finest texel in memory about a triangle.
-    fn finest_texel_m(&self, center: DVec3, radius: f64) -> f64 {
-        let near = self.places.iter().filter(|place| place.cap.meets(center, radius));
-        near.fold(f64::INFINITY, |finest, place| finest.min(place.texel_m))
+    fn finest_texel_m(&self, note: Note) -> f64 {
+        self.noted(note).fold(f64::INFINITY, |finest, place| finest.min(place.texel_m))
     }
 
     /// Meters from the eye to the nearest page that a triangle is too large to know of by its
     /// corners.
-    fn nearest_within_m(&self, center: DVec3, radius: f64, eye: DVec3) -> f64 {
-        let small = self.places.iter().filter(|place| place.cap.chord < radius);
-        let near = small.filter(|place| place.cap.meets(center, radius));
-        near.map(|place| eye.distance(place.center) - place.radius_m).fold(f64::INFINITY, f64::min)
+    fn nearest_within_m(&self, note: Note, radius: f64, eye: DVec3) -> f64 {
+        let small = self.noted(note).filter(|place| place.cap.chord < radius);
+        small.map(|place| eye.distance(place.center) - place.radius_m).fold(f64::INFINITY, f64::min)
     }
 }
 
@@ -153,7 +180,8 @@ pub(crate) struct Criterion {
 }
 
 impl Criterion {
-    pub(crate) fn new(view: &View, ellipsoid: Ellipsoid, detail: &Detail) -> Self {
+    pub(crate) fn new(view: &View, ellipsoid: Ellipsoid, detail: &mut Detail) -> Self {
+        detail.about.clear();
         let [right, up, backward] =
             [view.orientation.x_axis, view.orientation.y_axis, view.orientation.z_axis];
         let tangent_y = (view.vertical_fov.0 / 2.0).tan();
@@ -190,14 +218,13 @@ impl Criterion {
         }
     }
 
-    /// What to do with a triangle.
+    /// What to do with a triangle, and what to remember for its parts.
     pub(crate) fn verdict(
         &self,
         detail: &mut Detail,
         surface: &Surface,
-        corners: [DVec3; 3],
-        depth: u8,
-    ) -> Verdict {
+        Asked { corners, depth, parent }: Asked,
+    ) -> (Verdict, Note) {
         let [a, b, c] = corners;
         let side = a.distance(b).max(b.distance(c)).max(c.distance(a));
         let center = ((a + b + c) / 3.0).normalize();
@@ -205,10 +232,12 @@ impl Criterion {
         if self.beyond_horizon(center, reach)
             || (depth >= FIRST_FLAT && self.out_of_frustum(corners, side))
         {
-            return Verdict::Hidden;
+            // Its parts are out of sight as well.
+            return (Verdict::Hidden, Note::default());
         }
+        let note = detail.note(parent, center, reach);
         if depth >= DEEPEST {
-            return Verdict::Coarse(0.0);
+            return (Verdict::Coarse(0.0), note);
         }
 
         let radius = self.ellipsoid.a().0;
@@ -220,7 +249,7 @@ impl Criterion {
         let relief = heights.iter().fold(0.0_f64, |most, h| most.max((h - heights[0]).abs()));
         let bulge = radius * side * side / 6.0;
         let distance = distance_to_triangle(self.eye, lifted) - bulge - relief;
-        let distance = distance.min(detail.nearest_within_m(center, reach, self.eye));
+        let distance = distance.min(detail.nearest_within_m(note, reach, self.eye));
         let pixel_m = self.pixel_angle * distance.max(NEAREST_M);
 
         let spacing_m = radius * side / f64::from(SEGMENTS);
@@ -231,10 +260,10 @@ impl Criterion {
             .max(spacing_px * side * side / BENT_PX);
         let may = spacing_px / self.spacing_px;
         if may <= must {
-            return Verdict::Coarse(must);
+            return (Verdict::Coarse(must), note);
         }
-        let texels = spacing_m / detail.finest_texel_m(center, reach);
-        Verdict::Coarse(must.max(may.min(texels / SPACING_TEXELS)))
+        let texels = spacing_m / detail.finest_texel_m(note);
+        (Verdict::Coarse(must.max(may.min(texels / SPACING_TEXELS))), note)
     }
 
     /// `ARCHITECTURE.md`: n·p below the limit for all points of the volume.

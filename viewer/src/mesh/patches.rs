@@ -48,7 +48,7 @@ impl Mesh {
     ) {
         let criterion = Criterion::new(view, ellipsoid, detail);
         let mut tree = std::mem::take(&mut self.tree);
-        tree.build(|corners, depth| criterion.verdict(detail, surface, corners, depth));
+        tree.build(|asked| criterion.verdict(detail, surface, asked));
 
         self.exaggeration = detail.exaggeration;
         self.frames.clear();

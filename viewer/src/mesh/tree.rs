@@ -81,11 +81,33 @@ pub(crate) struct PatchEdge {
     pub(crate) last: u32,
 }
 
+/// What a caller wrote down about a triangle, for when it is asked about its parts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Note {
+    /// Where in a list of the caller's.
+    pub(crate) first: u32,
+    /// Where it ends there.
+    pub(crate) end: u32,
+}
+
+/// A triangle that a caller is asked about.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Asked {
+    /// Unit vectors, counterclockwise from outside.
+    pub(crate) corners: [DVec3; 3],
+    /// Splits since the icosahedron.
+    pub(crate) depth: u8,
+    /// What was written down about the triangle that it is a part of; none at depth 0.
+    pub(crate) parent: Option<Note>,
+}
+
 #[derive(Clone, Copy, Debug)]
 struct Triangle {
     corners: [u32; 3],
     edges: [u32; 3],
     depth: u8,
+    /// Of its parent first, then its own.
+    note: Option<Note>,
     children: u32,
     hidden: bool,
     /// How far its own vertices have come.
@@ -104,9 +126,9 @@ pub(crate) struct Tree {
 }
 
 impl Tree {
-    /// Splits the sphere as `verdict` says of the three corners and the depth of a triangle, and
-    /// further where neighbors would be two levels apart.
-    pub(crate) fn build(&mut self, mut verdict: impl FnMut([DVec3; 3], u8) -> Verdict) {
+    /// Splits the sphere as `verdict` says of a triangle, and further where neighbors would be two
+    /// levels apart.
+    pub(crate) fn build(&mut self, mut verdict: impl FnMut(Asked) -> (Verdict, Note)) {
         self.seed();
         let mut next = 0;
         while next < self.triangles.len() {
@@ -125,9 +147,7 @@ impl Tree {
                 break;
             }
             for index in before..self.triangles.len() {
-                let triangle = self.triangles[index];
-                let corners = triangle.corners.map(|i| self.corners[i as usize]);
-                self.note(index, verdict(corners, triangle.depth));
+                self.ask(index, &mut verdict);
             }
         }
         self.collect();
@@ -161,23 +181,25 @@ impl Tree {
                 found.map_or_else(|| self.add_edge(from, to, NONE), count)
             });
             // None is coarser than those: their vertices have come from nowhere.
-            self.add_triangle(corners, edges, 0, 1.0, f64::INFINITY);
+            self.add_triangle(corners, edges, 0, None, 1.0, f64::INFINITY);
         }
     }
 
-    fn settle(&mut self, index: usize, verdict: &mut impl FnMut([DVec3; 3], u8) -> Verdict) {
-        let triangle = self.triangles[index];
-        let corners = triangle.corners.map(|i| self.corners[i as usize]);
-        self.note(index, verdict(corners, triangle.depth));
+    fn settle(&mut self, index: usize, verdict: &mut impl FnMut(Asked) -> (Verdict, Note)) {
+        self.ask(index, verdict);
         let Triangle { hidden, excess, .. } = self.triangles[index];
         if !hidden && excess >= 1.0 {
             self.split(index);
         }
     }
 
-    /// Writes down what was said of a triangle.
-    fn note(&mut self, index: usize, verdict: Verdict) {
+    /// Asks about a triangle, and keeps what is said.
+    fn ask(&mut self, index: usize, verdict: &mut impl FnMut(Asked) -> (Verdict, Note)) {
         let triangle = &mut self.triangles[index];
+        let corners = triangle.corners.map(|i| self.corners[i as usize]);
+        let asked = Asked { corners, depth: triangle.depth, parent: triangle.note };
+        let (verdict, note) = verdict(asked);
+        triangle.note = Some(note);
         match verdict {
             Verdict::Hidden => triangle.hidden = true,
             Verdict::Coarse(times) => triangle.excess = triangle.excess.min(times),
@@ -196,7 +218,7 @@ impl Tree {
     }
 
     fn split(&mut self, index: usize) {
-        let Triangle { corners, edges, depth, excess, .. } = self.triangles[index];
+        let Triangle { corners, edges, depth, note, excess, .. } = self.triangles[index];
         let come = ((excess - 1.0) / (CHILD_RATIO - 1.0)).clamp(0.0, 1.0);
         let most = excess / CHILD_RATIO;
         let middles = edges.map(|edge| self.middle(edge));
@@ -212,11 +234,12 @@ impl Tree {
                 [corners[side], middles[side], middles[before]],
                 [halves[side].0, inner[before], halves[before].1],
                 depth + 1,
+                note,
                 come,
                 most,
             );
         }
-        self.add_triangle(middles, inner, depth + 1, come, most);
+        self.add_triangle(middles, inner, depth + 1, note, come, most);
     }
 
     /// The middle of an edge, as a corner.
@@ -259,6 +282,7 @@ impl Tree {
         corners: [u32; 3],
         edges: [u32; 3],
         depth: u8,
+        note: Option<Note>,
         come: f64,
         most: f64,
     ) {
@@ -268,7 +292,7 @@ impl Tree {
             edge.come = edge.come.min(come);
         }
         let (children, hidden, excess) = (NONE, false, most);
-        self.triangles.push(Triangle { corners, edges, depth, children, hidden, come, excess });
+        self.triangles.push(Triangle { corners, edges, depth, note, children, hidden, come, excess });
     }
 
     fn collect(&mut self) {
@@ -326,10 +350,11 @@ mod tests {
     /// Splits toward one place of the sphere.
     fn toward(target: DVec3, most: u8) -> Tree {
         let mut tree = Tree::default();
-        tree.build(|corners, depth| {
+        tree.build(|Asked { corners, depth, .. }| {
             let size = corners[0].distance(corners[1]);
             let near = sphere::distance_to_triangle(target, corners) < 0.3 * size;
-            Verdict::Coarse(if depth < most && near { 1e30 } else { 0.0 })
+            let excess = if depth < most && near { 1e30 } else { 0.0 };
+            (Verdict::Coarse(excess), Note::default())
         });
         tree
     }

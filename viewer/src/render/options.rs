@@ -29,6 +29,8 @@ pub struct Options {
     pub background: [u8; 3],
     /// Bytes of pages that one frame may write to the GPU.
     pub upload_limit_bytes: u64,
+    /// Samples of color along a pixel's footprint, 1 to 16, where the ground is seen at a grazing angle.
+    pub anisotropy: u32,
     /// How the datasets take part.
     pub style: Style,
     /// The air, if it shows.
@@ -51,6 +53,7 @@ impl Default for Options {
             vertical_exaggeration: 1.0,
             background: [0; 3],
             upload_limit_bytes: u64::MAX,
+            anisotropy: 8,
             style: Style::default(),
             atmosphere: None,
             relief: None,
@@ -76,6 +79,8 @@ pub enum Debug {
     Borders,
     /// Red where a coarser page stands in, blue where a finer one does.
     Residency,
+    /// How far heights may be off, over the tolerance: green to yellow below it, red above.
+    Error,
 }
 
 /// The light of shaded relief: on maps from the northwest, halfway up.

@@ -260,7 +260,7 @@ impl Renderer {
             ramp,
             ramp_stops,
             ramp_opacity: options.style.ramp.as_ref().map_or(0.0, |ramp| ramp.opacity as f32),
-            lod_bias: 0.0,
+            anisotropy: options.anisotropy.clamp(1, 16) as i32,
             exposure: options.exposure as f32,
             relief: options.relief.map_or([0.0; 3], |relief| {
                 let (sin_azimuth, cos_azimuth) = relief.azimuth.0.sin_cos();
@@ -268,6 +268,9 @@ impl Renderer {
                 axis(DVec3::new(sin_azimuth * across, cos_azimuth * across, up))
             }),
             debug: options.debug as u32,
+            slot_bounds: self.resident.slot_bounds,
+            tolerance_px: view.tolerance_px as f32,
+            _pad: [0; 2],
         };
         let gpu = &self.gpu;
         gpu.queue.write_buffer(&self.scene, 0, bytemuck::bytes_of(&scene));

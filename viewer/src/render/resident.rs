@@ -47,6 +47,10 @@ pub(crate) struct Resident {
     pub(crate) maps: Maps,
     pub(crate) mirrored: Vec<mirror::Dataset>,
     pub(crate) table: Vec<i32>,
+    /// Where in `table` the bounds of the slots of heights start.
+    pub(crate) slot_bounds: i32,
+    /// By slot of heights, in meters.
+    bounds: Vec<f32>,
     /// By place in `datasets`; none for those that do not take part.
     shown: Vec<Option<Vec<Shown>>>,
 }
@@ -78,6 +82,8 @@ impl Resident {
             maps: Maps::default(),
             mirrored: Vec::new(),
             table: Vec::new(),
+            slot_bounds: 0,
+            bounds: Vec::new(),
             shown: Vec::new(),
         }
     }
@@ -139,6 +145,11 @@ impl Resident {
             let whole = page.page.coverage().is_none();
             let presence = clock.presence(atlas.since(slot));
             brought.coming += usize::from(presence < PRESENT);
+            if selection.datasets[page.dataset].kind == Kind::Height {
+                let slot = slot as usize;
+                self.bounds.resize(self.bounds.len().max(slot + 1), 0.0);
+                self.bounds[slot] = page.entry.bound;
+            }
             shown.push(Shown { page: page.entry.page, slot, whole, presence });
         }
         self.write_table(selection);
@@ -183,10 +194,15 @@ impl Resident {
         for ((dataset, part), map) in self.order.iter().zip(self.maps.iter()) {
             let shown = self.shown[*dataset].as_deref().unwrap_or_default();
             let first = table::append(&mut self.table, infos[*dataset].grid.pyramid(), shown);
-            let first = i32::try_from(first).expect("a table is far smaller than 2^31");
-            self.mirrored.push(map.mirrored(first, part));
+            self.mirrored.push(map.mirrored(count(first), part));
         }
+        self.slot_bounds = count(self.table.len());
+        self.table.extend(self.bounds.iter().map(|bound| bound.to_bits().cast_signed()));
     }
+}
+
+fn count(length: usize) -> i32 {
+    i32::try_from(length).expect("a table is far smaller than 2^31")
 }
 
 /// Which atlas a page lies in.

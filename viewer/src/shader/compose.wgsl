@@ -131,7 +131,7 @@ fn compose(frame_index: u32, d: vec3f, footprint_m: f32, plane: u32) -> Composed
         let point = map_point(dataset, anchors[i], r0, z0, d);
         if point.inside {
             let scales = principal_scales(dataset, r, z);
-            let halvings = max(log2(footprint_m / scales.x) - scene.lod_bias, 0.0);
+            let halvings = max(log2(footprint_m / scales.x), 0.0);
             let wanted = max(f32(dataset.levels - 1) - halvings, 0.0);
             let answer = read_levels(dataset, point, wanted, base, plane);
             if answer.texel.coverage > 0.0 {

@@ -1,6 +1,8 @@
-// debug.wgsl - how a picture was made: levels, datasets, pages and what stands in, over the ground.
+// debug.wgsl - how a picture was made: levels, datasets, pages, what stands in and how far it may be
+// off, over the ground.
 //
-// It tells of the front color dataset at a place, or of the front one of heights.
+// It tells of the front color dataset at a place, or of the front one of heights; of errors, of
+// heights alone.
 //
 // Mirrored   scene.debug <-> viewer/src/render/renderer.rs: Debug
 
@@ -8,6 +10,15 @@ const SHOW_LEVEL: u32 = 1u;
 const SHOW_DATASET: u32 = 2u;
 const SHOW_BORDERS: u32 = 3u;
 const SHOW_RESIDENCY: u32 = 4u;
+const SHOW_ERROR: u32 = 5u;
+
+// An error over what it may be: green, yellow from a half on, red above 1.
+fn color_of_excess(excess: f32) -> vec3f {
+    if excess > 1.0 {
+        return vec3f(1.0, 0.1, 0.05);
+    }
+    return mix(vec3f(0.1, 0.6, 0.2), vec3f(1.0, 0.9, 0.1), min(2.0 * excess, 1.0));
+}
 
 // Colors that neighboring numbers do not share.
 fn color_of_number(number: u32) -> vec3f {
@@ -24,7 +35,7 @@ fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> v
     let x = r0 + d.z * r0 - d.y * z0;
     let r = sqrt(x * x + d.x * d.x);
     let z = z0 + d.y * r0 + d.z * z0;
-    for (var step = 0u; step < 2u; step++) {
+    for (var step = select(0u, 1u, scene.debug == SHOW_ERROR); step < 2u; step++) {
         let plane = select(HEIGHTS, COLORS, step == 0u);
         for (var i = frames[frame_index].lists[plane]; i < frames[frame_index].lists[plane + 1u]; i++) {
             let dataset = dataset_list[anchors[i].dataset];
@@ -33,7 +44,7 @@ fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> v
                 continue;
             }
             let scales = principal_scales(dataset, r, z);
-            let halvings = max(log2(footprint_m / scales.x) - scene.lod_bias, 0.0);
+            let halvings = max(log2(footprint_m / scales.x), 0.0);
             let wanted = i32(ceil(max(f32(dataset.levels - 1) - halvings, 0.0)));
             let found = find_page(dataset, point, wanted);
             if found.entry == 0u {
@@ -53,6 +64,12 @@ fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> v
                 let texel_m = scales.x * exp2(f32(dataset.levels - 1 - level));
                 let is_edge = min(from_edge.x, from_edge.y) * texel_m < 2.0 * footprint_m;
                 return select(ground, vec3f(1.0, 0.9, 0.1), is_edge);
+            }
+            if scene.debug == SHOW_ERROR {
+                let slot = i32(found.entry & 0xffffu);
+                let bound_m = scene.exaggeration * bitcast<f32>(table[scene.slot_bounds + slot]);
+                let excess = bound_m / (footprint_m * scene.tolerance_px);
+                return mix(ground, color_of_excess(excess), 0.6);
             }
             let lag = f32(wanted - level);
             let color = select(vec3f(0.2, 0.3, 1.0), vec3f(1.0, 0.1, 0.05), lag > 0.0);

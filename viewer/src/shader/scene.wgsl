@@ -35,14 +35,20 @@ struct Scene {
     // How many of them count: 0 for no ramp.
     ramp_stops: u32,
     ramp_opacity: f32,
-    // Levels added to what the footprint asks for.
-    lod_bias: f32,
+    // Samples of color that a pixel takes at most.
+    anisotropy: i32,
     // Factor on light.
     exposure: f32,
     // Toward a light that is the same everywhere on the map: east, north, up. Null for the sun's.
     relief: vec3f,
     // What is shown of how the picture was made: debug.wgsl.
     debug: u32,
+    // Where in the page table the bounds of the slots of heights start, as bits of f32.
+    slot_bounds: i32,
+    // What errors of heights may show as.
+    tolerance_px: f32,
+    pad0: u32,
+    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> scene: Scene;

@@ -3,6 +3,7 @@
 // The slope is taken from composed heights about the pixel, not from the mesh: no patch shows. Its
 // step is a texel of the level used, or a pixel if that is larger, so that the corners of the
 // bilinear surface do not show either. Where datasets of normals cover the ground no slope is taken.
+// Colors are means over the pixel's footprint (footprint.wgsl).
 //
 // Units      colors sRGB 0 to 1; light is added up linearly
 // After      Lambert's law
@@ -41,59 +42,85 @@ struct Ground {
 // the surface does not.
 const AROUND: array<vec2f, 3> = array(vec2f(0.0, 0.57735), vec2f(-0.5, -0.288675), vec2f(0.5, -0.288675));
 
-fn ground_at(pixel: Pixel) -> Ground {
+// Values count by their opacity.
+fn sum_of(sum: Composed, found: Composed) -> Composed {
+    var more = sum;
+    more.value += found.opacity * found.value;
+    more.opacity += found.opacity;
+    return more;
+}
+
+fn mean_of(sum: Composed, count: i32) -> Composed {
+    var mean = sum;
+    if sum.opacity > 0.0 {
+        mean.value = sum.value / sum.opacity;
+    }
+    mean.opacity = sum.opacity / f32(count);
+    return mean;
+}
+
+fn ground_at(pixel: Pixel, direction: vec3f) -> Ground {
     let index = pixel.place.frame;
     let frame = frames[index];
     let d = pixel.place.d;
+    let up = frame.up + frame.east * d.x + frame.north * d.y + frame.up * d.z;
     let step = max(pixel.texel_m, pixel.footprint_m) / scene.equatorial_radius;
 
     let nothing = Composed(vec3f(0.0), -1.0, 0.0, 0.0);
     var normals = nothing;
+    var heights = nothing;
     var colors = nothing;
     var luminances = nothing;
-    var heights = nothing;
     var corners = array(vec3f(0.0), vec3f(0.0), vec3f(0.0));
-    // A loop, not seven calls: drivers put the whole of a function wherever it is called.
-    for (var asked = 0; asked < 7; asked++) {
-        let is_corner = asked >= 1 && asked <= 3;
-        let is_height = asked == 6;
-        let is_wanted = !(is_corner && normals.opacity >= 1.0) && !(is_height && scene.ramp_stops == 0u && air.top <= 0.0);
-        if is_wanted {
-            var plane = HEIGHTS;
-            var at = d;
-            if asked == 0 {
-                plane = NORMALS;
-            } else if asked == 4 {
-                plane = COLORS;
-            } else if asked == 5 {
-                plane = LUMINANCES;
-            } else if is_corner {
-                var around = AROUND;
-                at = stepped(d, step * around[asked - 1]);
+    var normal = up;
+    var footprint = Footprint(vec3f(0.0), 1, pixel.footprint_m);
+    // A loop, not calls: drivers put the whole of a function wherever it is called.
+    for (var asked = 0; asked < 5 + 2 * footprint.samples; asked++) {
+        if asked == 4 {
+            if normals.opacity < 1.0 {
+                normal = normalize(cross(corners[1] - corners[0], corners[2] - corners[0]));
             }
-            let found = compose(index, at, pixel.footprint_m, plane);
-            if asked == 0 {
-                normals = found;
-            } else if asked == 4 {
-                colors = found;
-            } else if asked == 5 {
-                luminances = found;
-            } else if is_height {
-                heights = found;
-            } else {
-                corners[asked - 1] = position_at(frame, at, scene.exaggeration * found.value.x);
+            if normals.opacity > 0.0 {
+                let told = normal_from_codes(normals.value, up);
+                normal = normalize(normal + (told - normal) * normals.opacity);
             }
+            footprint = footprint_of(frame, direction, normal, up, pixel.footprint_m);
+        }
+        var plane = HEIGHTS;
+        var at = d;
+        var sample_m = pixel.footprint_m;
+        var is_wanted = true;
+        if asked == 0 {
+            plane = NORMALS;
+        } else if asked <= 3 {
+            var around = AROUND;
+            at = stepped(d, step * around[asked - 1]);
+            is_wanted = normals.opacity < 1.0;
+        } else if asked == 4 {
+            is_wanted = scene.ramp_stops > 0u || air.top > 0.0;
+        } else {
+            plane = select(LUMINANCES, COLORS, (asked & 1) == 1);
+            at = sample_place(footprint, d, (asked - 5) >> 1u);
+            sample_m = footprint.sample_m;
+        }
+        if !is_wanted || (plane != HEIGHTS && frame.lists[plane] == frame.lists[plane + 1u]) {
+            continue;
+        }
+        let found = compose(index, at, sample_m, plane);
+        if asked == 0 {
+            normals = found;
+        } else if asked <= 3 {
+            corners[asked - 1] = position_at(frame, at, scene.exaggeration * found.value.x);
+        } else if asked == 4 {
+            heights = found;
+        } else if plane == COLORS {
+            colors = sum_of(colors, found);
+        } else {
+            luminances = sum_of(luminances, found);
         }
     }
-
-    let up = frame.up + frame.east * d.x + frame.north * d.y + frame.up * d.z;
-    var normal = up;
-    if normals.opacity < 1.0 {
-        normal = normalize(cross(corners[1] - corners[0], corners[2] - corners[0]));
-    }
-    if normals.opacity > 0.0 {
-        normal = normalize(normal + (normal_from_codes(normals.value, up) - normal) * normals.opacity);
-    }
+    colors = mean_of(colors, footprint.samples);
+    luminances = mean_of(luminances, footprint.samples);
     let color = ground_color(colors, luminances, heights, frame.height + heights.value.x);
     return Ground(normal, up, color, position_at(frame, d, scene.exaggeration * heights.value.x));
 }
@@ -124,7 +151,7 @@ fn shade(@builtin(position) position: vec4f) -> @location(0) vec4f {
         let behind = linear_from_srgb(scene.background);
         return finished(behind * sky.transmittance + sky.light * scene.exposure);
     }
-    let ground = ground_at(pixel);
+    let ground = ground_at(pixel, ray_at(position.xy));
     let place = pixel.place;
     let color = linear_from_srgb(debug_color(ground.color, place.frame, place.d, pixel.footprint_m));
     let distance = length(ground.position);

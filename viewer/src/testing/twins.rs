@@ -226,7 +226,7 @@ macro_rules! assert_mirrored {
 fn shaders_and_rust_agree_on_structures() {
     assert_mirrored!(Scene: right, focal_x, up, focal_y, backward, near, sun, ambient, background,
         exaggeration, viewport, equatorial_radius, eccentricity2, bare, pixel_angle, ramp, ramp_stops,
-        ramp_opacity, lod_bias, exposure, relief, debug);
+        ramp_opacity, anisotropy, exposure, relief, debug, slot_bounds, tolerance_px);
     assert_mirrored!(Atmosphere: rayleigh, rayleigh_height, mie, mie_height, mie_extinction,
         asymmetry, eye_up, eye_height, radius, top);
     assert_mirrored!(Frame: origin, height, east, north, up, lists);

@@ -115,7 +115,8 @@ pub(super) fn press(
                 Debug::Level => Debug::Dataset,
                 Debug::Dataset => Debug::Borders,
                 Debug::Borders => Debug::Residency,
-                Debug::Residency => Debug::Off,
+                Debug::Residency => Debug::Error,
+                Debug::Error => Debug::Off,
             };
         }
         Key::Character("v" | "V") => {

@@ -172,6 +172,7 @@ fn picture(ui: &mut Ui, settings: &mut Settings) {
             (Debug::Dataset, "dataset"),
             (Debug::Borders, "pages"),
             (Debug::Residency, "residency"),
+            (Debug::Error, "error"),
         ] {
             ui.selectable_value(&mut settings.debug, debug, name);
         }
