@@ -33,7 +33,8 @@ pub(crate) struct Scene {
     pub(crate) debug: u32,
     pub(crate) slot_bounds: i32,
     pub(crate) tolerance_px: f32,
-    pub(crate) _pad: [u32; 2],
+    pub(crate) edges: u32,
+    pub(crate) patches: u32,
 }
 
 /// Mirrors `struct Atmosphere` of `shader/atmosphere.wgsl`.
@@ -98,7 +99,7 @@ pub(crate) struct Dataset {
     pub(crate) series: u32,
 }
 
-/// Mirrors `struct Edge` of `shader/mesh.wgsl`.
+/// Mirrors `struct Edge` of `shader/patch.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub(crate) struct Edge {
@@ -109,7 +110,7 @@ pub(crate) struct Edge {
     pub(crate) come: f32,
 }
 
-/// Mirrors `struct Patch` of `shader/mesh.wgsl`.
+/// Mirrors `struct Patch` of `shader/patch.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub(crate) struct Patch {

@@ -11,7 +11,7 @@ pub(crate) const SURFACE: &[&str] = &[
     include_str!("shader/page_table.wgsl"),
     include_str!("shader/texels.wgsl"),
     include_str!("shader/compose.wgsl"),
-    include_str!("shader/mesh.wgsl"),
+    include_str!("shader/patch.wgsl"),
 ];
 
 /// The finished picture onto a surface.
@@ -20,6 +20,8 @@ pub(crate) const PRESENT: &str = include_str!("shader/present.wgsl");
 /// The programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Program {
+    /// The surface at the points of patches.
+    Points,
     /// Patches into the deferred buffer.
     Mesh,
     /// The deferred buffer into the picture.
@@ -33,7 +35,8 @@ impl Program {
     pub(crate) fn source(self) -> String {
         let deferred = include_str!("shader/deferred.wgsl");
         let own: &[&str] = match self {
-            Self::Mesh => &[],
+            Self::Points => &[include_str!("shader/points.wgsl")],
+            Self::Mesh => &[include_str!("shader/mesh.wgsl")],
             Self::Shade => &[
                 deferred,
                 include_str!("shader/color.wgsl"),

@@ -7,7 +7,7 @@ use areoid_cache::View;
 use areoid_formats::body::Ellipsoid;
 use glam::DVec3;
 
-use super::detail::{Criterion, Detail};
+use super::detail::{Criterion, Detail, SEGMENTS};
 use super::frame::{Frame, reference_point};
 use super::tree::{Patch, Tree};
 use crate::map::Maps;
@@ -158,6 +158,12 @@ impl Mesh {
         let mirrored = count(self.edges.len() - 1);
         self.mirrored_edge[index] = mirrored;
         mirrored
+    }
+
+    /// How many points the shaders compose: of the edges, and then of the patches.
+    pub(crate) fn points(&self) -> usize {
+        let side = SEGMENTS as usize + 1;
+        self.edges.len() * side + self.patches.len() * (side * (side + 1) / 2)
     }
 
     fn add_frame(&mut self, frame: Frame) -> u32 {

@@ -292,7 +292,16 @@ impl Tree {
             edge.come = edge.come.min(come);
         }
         let (children, hidden, excess) = (NONE, false, most);
-        self.triangles.push(Triangle { corners, edges, depth, note, children, hidden, come, excess });
+        self.triangles.push(Triangle {
+            corners,
+            edges,
+            depth,
+            note,
+            children,
+            hidden,
+            come,
+            excess,
+        });
     }
 
     fn collect(&mut self) {

@@ -20,12 +20,17 @@ impl Growing {
     /// Writes all of `items`; whether the buffer is another one now.
     pub(crate) fn write<T: bytemuck::NoUninit>(&mut self, gpu: &Gpu, items: &[T]) -> bool {
         let bytes: &[u8] = bytemuck::cast_slice(items);
-        let needed = bytes.len() as u64;
-        let grows = needed > self.buffer.size();
-        if grows {
-            self.buffer = create(gpu, self.label, needed.next_power_of_two());
-        }
+        let grows = self.reserve(gpu, bytes.len() as u64);
         gpu.queue.write_buffer(&self.buffer, 0, bytes);
+        grows
+    }
+
+    /// Makes room for so many bytes that the GPU writes; whether the buffer is another one now.
+    pub(crate) fn reserve(&mut self, gpu: &Gpu, bytes: u64) -> bool {
+        let grows = bytes > self.buffer.size();
+        if grows {
+            self.buffer = create(gpu, self.label, bytes.next_power_of_two());
+        }
         grows
     }
 

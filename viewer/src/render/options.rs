@@ -29,7 +29,8 @@ pub struct Options {
     pub background: [u8; 3],
     /// Bytes of pages that one frame may write to the GPU.
     pub upload_limit_bytes: u64,
-    /// Samples of color along a pixel's footprint, 1 to 16, where the ground is seen at a grazing angle.
+    /// Samples of color along a pixel's footprint at most, up to 16; where it is longer they are blurred.
+    /// At 0 footprints are taken as round and as wide as the pixel, and alias.
     pub anisotropy: u32,
     /// How the datasets take part.
     pub style: Style,

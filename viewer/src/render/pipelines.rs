@@ -1,4 +1,4 @@
-//! The three programs and what they bind.
+//! The programs and what they bind.
 
 use crate::full_screen::FullScreen;
 use crate::gpu::Gpu;
@@ -23,6 +23,11 @@ pub(crate) struct Pipelines {
     pub(crate) deferred_layout: wgpu::BindGroupLayout,
     /// The deferred buffer, and numbers out of it.
     pub(crate) measure_layout: wgpu::BindGroupLayout,
+    /// The points of patches, to be written.
+    pub(crate) points_layout: wgpu::BindGroupLayout,
+    /// The points of patches, to be read.
+    pub(crate) vertices_layout: wgpu::BindGroupLayout,
+    pub(crate) points: wgpu::ComputePipeline,
     pub(crate) mesh: wgpu::RenderPipeline,
     pub(crate) shade: wgpu::RenderPipeline,
     pub(crate) measure: wgpu::ComputePipeline,
@@ -30,14 +35,10 @@ pub(crate) struct Pipelines {
 
 impl Pipelines {
     pub(crate) fn new(gpu: &Gpu) -> Self {
-        let uniform = wgpu::BindingType::Buffer {
-            ty: wgpu::BufferBindingType::Uniform,
-            has_dynamic_offset: false,
-            min_binding_size: None,
-        };
         let read = storage(true);
-        let scene_layout =
-            layout(gpu, "scene", &[uniform, read, read, read, read, read, read, uniform]);
+        // The air is the eighth buffer of fragments, what it writes that of a compute program: WebGPU
+        // promises no more.
+        let scene_layout = scene_layout(gpu);
         let atlas_layout = layout(
             gpu,
             "atlases",
@@ -52,10 +53,32 @@ impl Pipelines {
         let deferred_layout = layout(gpu, "deferred", &[deferred]);
         let measure_layout = compute_layout(gpu, "measure", &[deferred, storage(false)]);
 
-        let mesh = mesh_pipeline(gpu, &[&scene_layout, &atlas_layout]);
+        let points_layout = compute_layout(gpu, "points", &[storage(false)]);
+        let vertices_layout = layout(gpu, "vertices", &[read]);
+
+        let (scene, atlas) = (Some(&scene_layout), Some(&atlas_layout));
+        let points = compute_pipeline(
+            gpu,
+            Program::Points,
+            "compose_points",
+            &[scene, atlas, None, Some(&points_layout)],
+        );
+        let mesh = mesh_pipeline(gpu, &[scene, None, None, Some(&vertices_layout)]);
         let shade = shade_pipeline(gpu, &[&scene_layout, &atlas_layout, &deferred_layout]);
-        let measure = measure_pipeline(gpu, &[&scene_layout, &atlas_layout, &measure_layout]);
-        Self { scene_layout, atlas_layout, deferred_layout, measure_layout, mesh, shade, measure }
+        let groups = [scene, atlas, Some(&measure_layout)];
+        let measure = compute_pipeline(gpu, Program::Measure, "measure", &groups);
+        Self {
+            scene_layout,
+            atlas_layout,
+            deferred_layout,
+            measure_layout,
+            points_layout,
+            vertices_layout,
+            points,
+            mesh,
+            shade,
+            measure,
+        }
     }
 }
 
@@ -77,6 +100,21 @@ fn texture(sample_type: wgpu::TextureSampleType, array: bool) -> wgpu::BindingTy
         },
         multisampled: false,
     }
+}
+
+/// The scene, six lists of the geometry, and the air, for pixels alone.
+fn scene_layout(gpu: &Gpu) -> wgpu::BindGroupLayout {
+    let all = wgpu::ShaderStages::VERTEX_FRAGMENT | wgpu::ShaderStages::COMPUTE;
+    let entries: Vec<_> = (0..8)
+        .map(|binding| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: if binding == 7 { wgpu::ShaderStages::FRAGMENT } else { all },
+            ty: storage(true),
+            count: None,
+        })
+        .collect();
+    let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some("scene"), entries: &entries };
+    gpu.device.create_bind_group_layout(&descriptor)
 }
 
 fn layout(gpu: &Gpu, label: &str, types: &[wgpu::BindingType]) -> wgpu::BindGroupLayout {
@@ -112,24 +150,23 @@ fn module(gpu: &Gpu, label: &str, program: Program) -> wgpu::ShaderModule {
 fn pipeline_layout(
     gpu: &Gpu,
     label: &str,
-    groups: &[&wgpu::BindGroupLayout],
+    groups: &[Option<&wgpu::BindGroupLayout>],
 ) -> wgpu::PipelineLayout {
-    let groups: Vec<_> = groups.iter().map(|&group| Some(group)).collect();
     gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some(label),
-        bind_group_layouts: &groups,
+        bind_group_layouts: groups,
         immediate_size: 0,
     })
 }
 
-/// The constants that the programs with `mesh.wgsl` in them take from here.
+/// The constants that the programs with `patch.wgsl` in them take from here.
 const CONSTANTS: [(&str, f64); 1] = [("SEGMENTS", SEGMENTS as f64)];
 
 fn options() -> wgpu::PipelineCompilationOptions<'static> {
     wgpu::PipelineCompilationOptions { constants: &CONSTANTS, ..Default::default() }
 }
 
-fn mesh_pipeline(gpu: &Gpu, groups: &[&wgpu::BindGroupLayout]) -> wgpu::RenderPipeline {
+fn mesh_pipeline(gpu: &Gpu, groups: &[Option<&wgpu::BindGroupLayout>]) -> wgpu::RenderPipeline {
     let module = module(gpu, "mesh", Program::Mesh);
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some("mesh"),
@@ -177,12 +214,17 @@ fn shade_pipeline(gpu: &Gpu, groups: &[&wgpu::BindGroupLayout]) -> wgpu::RenderP
     FullScreen { label, source, entry_point, constants, groups, format }.pipeline(gpu)
 }
 
-fn measure_pipeline(gpu: &Gpu, groups: &[&wgpu::BindGroupLayout]) -> wgpu::ComputePipeline {
+fn compute_pipeline(
+    gpu: &Gpu,
+    program: Program,
+    entry_point: &str,
+    groups: &[Option<&wgpu::BindGroupLayout>],
+) -> wgpu::ComputePipeline {
     gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some("measure"),
-        layout: Some(&pipeline_layout(gpu, "measure", groups)),
-        module: &module(gpu, "measure", Program::Measure),
-        entry_point: Some("measure"),
+        label: Some(entry_point),
+        layout: Some(&pipeline_layout(gpu, entry_point, groups)),
+        module: &module(gpu, entry_point, program),
+        entry_point: Some(entry_point),
         compilation_options: options(),
         cache: None,
     })

@@ -2,8 +2,8 @@
 //!
 //! ```text
 //!   selection ─▶ atlases, page table ─┐
-//!   view ──────▶ patches, frames ─────┴▶ mesh ─▶ deferred buffer ─▶ shade ─▶ picture
-//!                                                        └───────▶ measure ─▶ AOVs
+//!   view ──────▶ patches, frames ─────┴▶ points ─▶ mesh ─▶ deferred buffer ─▶ shade ─▶ picture
+//!                                                                  └───────▶ measure ─▶ AOVs
 //! ```
 
 use areoid_cache::{Datasets, Selection, View};
@@ -33,6 +33,12 @@ use crate::surface::{BARE_COLOR, Surface};
 /// Meters to the near plane where terrain may be about the eye.
 const NEAR_M: f64 = 0.05;
 
+/// Bytes of a point: a position and a texel's size.
+const POINT_LEN: u64 = 16;
+
+/// Workgroups along one axis of a dispatch at most.
+const MOST_WORKGROUPS: u32 = 65_535;
+
 /// Bytes of each atlas.
 const ATLAS_BYTES: u64 = 512 << 20;
 
@@ -55,6 +61,8 @@ pub struct Renderer {
     storages: Storages,
     scene_group: Option<wgpu::BindGroup>,
     atlas_group: Option<wgpu::BindGroup>,
+    /// The points of patches, to be written and to be read.
+    point_groups: Option<[wgpu::BindGroup; 2]>,
     targets: Option<Targets>,
     pattern: Pattern,
     drawn: Option<View>,
@@ -80,6 +88,7 @@ struct Storages {
     table: Growing,
     edges: Growing,
     patches: Growing,
+    points: Growing,
 }
 
 impl Renderer {
@@ -94,8 +103,8 @@ impl Renderer {
             surface: Surface::default(),
             known: None,
             shown: None,
-            scene: uniform(gpu, "scene", size_of::<mirror::Scene>()),
-            air: uniform(gpu, "air", size_of::<mirror::Atmosphere>()),
+            scene: fixed(gpu, "scene", size_of::<mirror::Scene>()),
+            air: fixed(gpu, "air", size_of::<mirror::Atmosphere>()),
             storages: Storages {
                 frames: Growing::new(gpu, "frames"),
                 datasets: Growing::new(gpu, "datasets"),
@@ -103,9 +112,11 @@ impl Renderer {
                 table: Growing::new(gpu, "page table"),
                 edges: Growing::new(gpu, "edges"),
                 patches: Growing::new(gpu, "patches"),
+                points: Growing::new(gpu, "points"),
             },
             scene_group: None,
             atlas_group: None,
+            point_groups: None,
             targets: None,
             pattern: Pattern::new(gpu),
             drawn: None,
@@ -260,7 +271,7 @@ impl Renderer {
             ramp,
             ramp_stops,
             ramp_opacity: options.style.ramp.as_ref().map_or(0.0, |ramp| ramp.opacity as f32),
-            anisotropy: options.anisotropy.clamp(1, 16) as i32,
+            anisotropy: options.anisotropy.min(16) as i32,
             exposure: options.exposure as f32,
             relief: options.relief.map_or([0.0; 3], |relief| {
                 let (sin_azimuth, cos_azimuth) = relief.azimuth.0.sin_cos();
@@ -270,7 +281,8 @@ impl Renderer {
             debug: options.debug as u32,
             slot_bounds: self.resident.slot_bounds,
             tolerance_px: view.tolerance_px as f32,
-            _pad: [0; 2],
+            edges: self.mesh.edges.len() as u32,
+            patches: self.mesh.patches.len() as u32,
         };
         let gpu = &self.gpu;
         gpu.queue.write_buffer(&self.scene, 0, bytemuck::bytes_of(&scene));
@@ -296,6 +308,13 @@ impl Renderer {
             ];
             let layout = &self.pipelines.scene_layout;
             self.scene_group = Some(bind(gpu, "scene", layout, bindings));
+        }
+        let point_bytes = self.mesh.points() as u64 * POINT_LEN;
+        if self.storages.points.reserve(gpu, point_bytes) || self.point_groups.is_none() {
+            let layouts = [&self.pipelines.points_layout, &self.pipelines.vertices_layout];
+            self.point_groups = Some(
+                layouts.map(|layout| bind(gpu, "points", layout, [self.storages.points.binding()])),
+            );
         }
         if self.atlas_group.is_none() {
             let views: [_; 4] =
@@ -327,6 +346,20 @@ impl Renderer {
         );
         let descriptor = wgpu::CommandEncoderDescriptor { label: Some("frame") };
         let mut encoder = gpu.device.create_command_encoder(&descriptor);
+        let [written, read] = self.point_groups.as_ref().expect("write_scene makes them");
+        if self.mesh.points() > 0 {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some("points"),
+                ..Default::default()
+            });
+            pass.set_pipeline(&self.pipelines.points);
+            pass.set_bind_group(0, &self.scene_group, &[]);
+            pass.set_bind_group(1, &self.atlas_group, &[]);
+            pass.set_bind_group(3, written, &[]);
+            let workgroups = u32::try_from(self.mesh.points().div_ceil(64)).unwrap_or(u32::MAX);
+            let columns = workgroups.min(MOST_WORKGROUPS);
+            pass.dispatch_workgroups(columns, workgroups.div_ceil(columns), 1);
+        }
         {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("mesh"),
@@ -348,7 +381,7 @@ impl Renderer {
             });
             pass.set_pipeline(&self.pipelines.mesh);
             pass.set_bind_group(0, &self.scene_group, &[]);
-            pass.set_bind_group(1, &self.atlas_group, &[]);
+            pass.set_bind_group(3, read, &[]);
             pass.set_vertex_buffer(0, self.pattern.steps.slice(..));
             pass.set_index_buffer(self.pattern.indices.slice(..), wgpu::IndexFormat::Uint16);
             let instances = u32::try_from(self.mesh.patches.len()).unwrap_or(u32::MAX);
@@ -374,8 +407,13 @@ impl Renderer {
     /// What `probe`, a shader about the geometry drawn last, writes at `group(2) binding(0)`.
     #[cfg(test)]
     pub(crate) fn probe(&self, source: &str, bytes: u64, workgroups: u32) -> Vec<u8> {
-        let layouts = [&self.pipelines.scene_layout, &self.pipelines.atlas_layout];
-        let groups = [&self.scene_group, &self.atlas_group];
+        let layouts = [
+            &self.pipelines.scene_layout,
+            &self.pipelines.atlas_layout,
+            &self.pipelines.vertices_layout,
+        ];
+        let points = self.point_groups.as_ref().map(|[_, read]| read);
+        let groups = [self.scene_group.as_ref(), self.atlas_group.as_ref(), points];
         super::testing::probe(&self.gpu, source, layouts, groups, bytes, workgroups)
     }
 
@@ -433,11 +471,11 @@ fn mirrored_ramp(ramp: Option<&Ramp>) -> ([[f32; 4]; Ramp::MOST_STOPS], u32) {
     (mirrored, stops.len().min(Ramp::MOST_STOPS) as u32)
 }
 
-fn uniform(gpu: &Gpu, label: &str, bytes: usize) -> wgpu::Buffer {
+fn fixed(gpu: &Gpu, label: &str, bytes: usize) -> wgpu::Buffer {
     gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some(label),
         size: bytes as u64,
-        usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
         mapped_at_creation: false,
     })
 }

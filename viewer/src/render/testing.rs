@@ -27,7 +27,7 @@ pub(crate) fn compute<T: Pod>(
         buffer
     };
     let storage = wgpu::BufferUsages::STORAGE;
-    let scene = buffer("scene", bytemuck::bytes_of(scene), wgpu::BufferUsages::UNIFORM);
+    let scene = buffer("scene", bytemuck::bytes_of(scene), storage);
     let datasets = buffer("datasets", bytemuck::cast_slice(datasets), storage);
     let anchors = buffer("anchors", bytemuck::cast_slice(anchors), storage);
     let probes = buffer("questions", bytemuck::cast_slice(questions), storage);
@@ -72,12 +72,12 @@ pub(crate) fn compute<T: Pod>(
     bytemuck::cast_slice(&read_buffer(gpu, &probes)).to_vec()
 }
 
-/// The bytes that the entry point `probe` writes at `group(2) binding(0)`, beside the bound groups.
+/// The bytes that the entry point `probe` writes at `group(2) binding(0)`, beside the bound groups 0, 1 and 3.
 pub(crate) fn probe(
     gpu: &Gpu,
     source: &str,
-    layouts: [&wgpu::BindGroupLayout; 2],
-    groups: [&Option<wgpu::BindGroup>; 2],
+    layouts: [&wgpu::BindGroupLayout; 3],
+    groups: [Option<&wgpu::BindGroup>; 3],
     bytes: u64,
     workgroups: u32,
 ) -> Vec<u8> {
@@ -107,7 +107,7 @@ pub(crate) fn probe(
     });
     let pipeline_layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some("probe"),
-        bind_group_layouts: &[Some(layouts[0]), Some(layouts[1]), Some(&layout)],
+        bind_group_layouts: &[Some(layouts[0]), Some(layouts[1]), Some(&layout), Some(layouts[2])],
         immediate_size: 0,
     });
     let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
@@ -129,6 +129,7 @@ pub(crate) fn probe(
         pass.set_bind_group(0, groups[0], &[]);
         pass.set_bind_group(1, groups[1], &[]);
         pass.set_bind_group(2, &bound, &[]);
+        pass.set_bind_group(3, groups[2], &[]);
         pass.dispatch_workgroups(workgroups, 1, 1);
     }
     gpu.queue.submit([encoder.finish()]);

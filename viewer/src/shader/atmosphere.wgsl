@@ -30,7 +30,7 @@ struct Atmosphere {
     pad1: u32,
 }
 
-@group(0) @binding(7) var<uniform> air: Atmosphere;
+@group(0) @binding(7) var<storage, read> air: Atmosphere;
 
 const STEPS: i32 = 24;
 const PI: f32 = 3.14159265359;

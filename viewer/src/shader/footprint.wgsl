@@ -38,6 +38,9 @@ fn footprint_of(frame: Frame, direction: vec3f, normal: vec3f, up: vec3f, pixel_
     let turn = 0.5 * atan2(2.0 * dot(p, q), dot(p, p) - dot(q, q));
     let longest = cos(turn) * p + sin(turn) * q;
     let ratio = length(longest);
+    if scene.anisotropy == 0 {
+        return Footprint(vec3f(0.0), 1, pixel_m);
+    }
     let samples = clamp(i32(round(ratio)), 1, scene.anisotropy);
     let sample_m = pixel_m * max(ratio / f32(scene.anisotropy), 1.0);
     return Footprint(longest * (pixel_m / scene.equatorial_radius), samples, sample_m);

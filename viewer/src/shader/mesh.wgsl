@@ -1,79 +1,15 @@
 // mesh.wgsl - vertices of the patches, and what the deferred buffer keeps of them.
 //
-// A vertex inside a patch is computed from the patch's frame. A vertex on a side is computed from
-// the edge, of which both neighbors have the same one: a frame at its middle, the chord's direction
-// there, and a whole number along it. At its ends and its middle the corners' own frames count, so
-// that a finer neighbor's corner is this edge's middle to the bit.
-//
 //   start        middle        end
 //     +---+---+---+---+---+---+---+       own numbers 0 .. SEGMENTS
 //     first .............. last           a side runs over all of the edge, or one half of it, in
 //                                         either direction; on a half, odd vertices fall on even
 //
 // A vertex of an odd number is one that the coarser mesh lacks. It comes from between its two even
-// neighbors, as those are shown, to its own place: on a side as far as the edge's have come, which
+// neighbors, as those are shown, to its own point: on a side as far as the edge's have come, which
 // both neighbors agree on. When a patch splits, its children's vertices have come by 0: nothing moves.
-//
-// Mirrored   struct Edge, struct Patch <-> viewer/src/mirror.rs, made by mesh/patches.rs
-// After      P-BDAM §4.2: what belongs to an edge depends on its corners and the eye alone
 
-struct Edge {
-    // Frames of its start, middle and end.
-    frames: vec3u,
-    // Half the length of the chord, on the unit sphere.
-    half_chord: f32,
-    // East and north of the middle's frame, from start to end.
-    direction: vec2f,
-    // From the center to the chord.
-    distance: f32,
-    // How far its odd vertices have come, 0 to 1.
-    come: f32,
-}
-
-struct Patch {
-    // The corners relative to the plane's point under the frame, in the frame's axes.
-    corner_a: vec3f,
-    frame: u32,
-    corner_b: vec3f,
-    // Four bits a side: first + 4 last, in halves of the edge.
-    sides: u32,
-    corner_c: vec3f,
-    // From the center to the corners' plane, along the frame's normal.
-    distance: f32,
-    edges: vec3u,
-    // How far its odd vertices inside have come, 0 to 1.
-    come: f32,
-}
-
-@group(0) @binding(5) var<storage, read> edges: array<Edge>;
-@group(0) @binding(6) var<storage, read> patches: array<Patch>;
-
-override SEGMENTS: i32 = 16;
-
-// A place: an offset from a frame.
-struct Place {
-    frame: u32,
-    d: vec3f,
-}
-
-fn place_on_edge(edge: Edge, own: i32) -> Place {
-    if own == 0 {
-        return Place(edge.frames.x, vec3f(0.0));
-    }
-    if own == SEGMENTS {
-        return Place(edge.frames.z, vec3f(0.0));
-    }
-    if 2 * own == SEGMENTS {
-        return Place(edge.frames.y, vec3f(0.0));
-    }
-    let along = edge.half_chord * (f32(2 * own - SEGMENTS) / f32(SEGMENTS));
-    return Place(edge.frames.y, offset_from_chord(edge.distance, vec3f(edge.direction * along, 0.0)));
-}
-
-fn place_in_patch(part: Patch, weights: vec2f) -> Place {
-    let s = part.corner_a + weights.x * (part.corner_b - part.corner_a) + weights.y * (part.corner_c - part.corner_a);
-    return Place(part.frame, offset_from_chord(part.distance, s));
-}
+@group(3) @binding(0) var<storage, read> points: array<vec4f>;
 
 struct Vertex {
     @builtin(position) clip: vec4f,
@@ -95,29 +31,15 @@ fn side_of(steps: vec2i) -> vec2i {
     return select(vec2i(-1, 0), vec2i(2, SEGMENTS - steps.y), steps.x == 0);
 }
 
-// The places between which a vertex is shown: each of two even neighbors may lie between two itself.
-struct Blend {
-    places: array<Place, 7>,
-    shares: array<f32, 7>,
-    count: i32,
-}
-
-fn add_place(blend: ptr<function, Blend>, place: Place, share: f32) {
-    if share > 0.0 {
-        (*blend).places[(*blend).count] = place;
-        (*blend).shares[(*blend).count] = share;
-        (*blend).count += 1;
+// A point of an edge, as it is shown.
+fn shown_on_edge(edge: u32, own: i32) -> vec4f {
+    let at = edge_point(edge, own);
+    let come = edges[edge].come;
+    if (own & 1) == 0 || come >= 1.0 {
+        return points[at];
     }
-}
-
-fn add_on_edge(blend: ptr<function, Blend>, edge: Edge, own: i32, share: f32) {
-    let come = select(1.0, edge.come, (own & 1) == 1);
-    let between = 0.5 * (share - share * come);
-    if between > 0.0 {
-        add_place(blend, place_on_edge(edge, own - 1), between);
-        add_place(blend, place_on_edge(edge, own + 1), between);
-    }
-    add_place(blend, place_on_edge(edge, own), share * come);
+    let between = 0.5 * (points[at - 1u] + points[at + 1u]);
+    return between + (points[at] - between) * come;
 }
 
 // The number on its edge of a vertex on a side; where a side is half an edge, odd steps fall on the
@@ -140,14 +62,13 @@ fn share_of_half(edge: Edge, own: i32) -> f32 {
 }
 
 // A vertex of even steps, as it is shown.
-fn add_even(blend: ptr<function, Blend>, part: Patch, steps: vec2i, share: f32) {
+fn shown_even(patch_index: u32, steps: vec2i) -> vec4f {
     let on_side = side_of(steps);
     if on_side.x < 0 {
-        add_place(blend, place_in_patch(part, vec2f(steps) / f32(SEGMENTS)), share);
-    } else {
-        let own = number_on_edge(part, on_side.x, on_side.y);
-        add_on_edge(blend, edges[part.edges[on_side.x]], own, share);
+        return points[patch_point(patch_index, steps)];
     }
+    let part = patches[patch_index];
+    return shown_on_edge(part.edges[on_side.x], number_on_edge(part, on_side.x, on_side.y));
 }
 
 // steps: segments from corner a toward b and toward c.
@@ -156,24 +77,22 @@ fn vertex_of(patch_index: u32, steps: vec2i) -> Vertex {
     let on_side = side_of(steps);
     let side = on_side.x;
     var weights = vec2f(steps) / f32(SEGMENTS);
-    var blend: Blend;
+    var shown: vec4f;
     if side < 0 {
+        shown = points[patch_point(patch_index, steps)];
         let odd = steps & vec2i(1);
-        let come = select(1.0, part.come, any(odd == vec2i(1)));
-        if come < 1.0 {
+        if any(odd == vec2i(1)) && part.come < 1.0 {
             // Toward b, toward c, or from one to the other.
             let way = select(odd, vec2i(1, -1), all(odd == vec2i(1)));
-            add_even(&blend, part, steps - way, 0.5 * (1.0 - come));
-            add_even(&blend, part, steps + way, 0.5 * (1.0 - come));
+            let between = 0.5 * (shown_even(patch_index, steps - way) + shown_even(patch_index, steps + way));
+            shown = between + (shown - between) * part.come;
         }
-        add_place(&blend, place_in_patch(part, weights), come);
     } else {
         let ends = (part.sides >> u32(4 * side)) & 0xfu;
         let first = i32(ends & 3u);
-        let edge = edges[part.edges[side]];
         let own = number_on_edge(part, side, on_side.y);
         if abs(first - i32(ends >> 2u)) == 1 {
-            let from_middle = share_of_half(edge, own);
+            let from_middle = share_of_half(edges[part.edges[side]], own);
             let share = select(1.0 - from_middle, from_middle, first == 1);
             weights = select(
                 select(vec2f(0.0, 1.0 - share), vec2f(1.0 - share, share), side == 1),
@@ -181,21 +100,9 @@ fn vertex_of(patch_index: u32, steps: vec2i) -> Vertex {
                 side == 0,
             );
         }
-        add_on_edge(&blend, edge, own, 1.0);
+        shown = shown_on_edge(part.edges[side], own);
     }
-
-    var position = vec3f(0.0);
-    var texel_m = 0.0;
-    for (var i = 0; i < blend.count; i++) {
-        let place = blend.places[i];
-        let frame = frames[place.frame];
-        let footprint_m = length(position_at(frame, place.d, 0.0)) * scene.pixel_angle;
-        let composed = compose(place.frame, place.d, footprint_m, HEIGHTS);
-        let shown = position_at(frame, place.d, scene.exaggeration * composed.value.x);
-        position += blend.shares[i] * shown;
-        texel_m += blend.shares[i] * composed.texel_m;
-    }
-    return Vertex(clip_from_eye(position), weights, texel_m, patch_index);
+    return Vertex(clip_from_eye(shown.xyz), weights, shown.w, patch_index);
 }
 
 @vertex

@@ -35,7 +35,7 @@ struct Scene {
     // How many of them count: 0 for no ramp.
     ramp_stops: u32,
     ramp_opacity: f32,
-    // Samples of color that a pixel takes at most.
+    // Samples of color that a pixel takes at most; 0 for round footprints.
     anisotropy: i32,
     // Factor on light.
     exposure: f32,
@@ -47,11 +47,13 @@ struct Scene {
     slot_bounds: i32,
     // What errors of heights may show as.
     tolerance_px: f32,
-    pad0: u32,
-    pad1: u32,
+    // How many there are.
+    edges: u32,
+    patches: u32,
 }
 
-@group(0) @binding(0) var<uniform> scene: Scene;
+// Not uniform: Mesa's llvmpipe compiles a shader anew for the values of uniforms that it branches on.
+@group(0) @binding(0) var<storage, read> scene: Scene;
 
 // Reversed depth: 1 at the near plane, 0 infinitely far.
 fn clip_from_eye(position: vec3f) -> vec4f {

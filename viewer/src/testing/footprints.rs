@@ -103,7 +103,9 @@ fn a_footprint_is_a_cone_cut_by_the_ground() {
         let off = (axis - farthest).length().min((axis + farthest).length());
         assert!(off < 0.05 * least || ratio < 1.1, "{axis} for {farthest}");
         let samples = ratio.round().clamp(1.0, 8.0);
-        assert!((f64::from(probe.samples) - samples).abs() < 1.0 || (ratio.fract() - 0.5).abs() < 0.02);
+        assert!(
+            (f64::from(probe.samples) - samples).abs() < 1.0 || (ratio.fract() - 0.5).abs() < 0.02
+        );
         assert!((f64::from(probe.sample_m) - (ratio / 8.0).max(1.0)).abs() < 2e-3 * ratio);
         many += usize::from(probe.samples > 1);
         wide += usize::from(probe.sample_m > 1.0);
@@ -121,7 +123,8 @@ fn body() -> Ellipsoid {
 fn codes(place: Geographic) -> [f64; 3] {
     let [x, y] = [place.longitude, place.latitude].map(|angle| Degrees::from(angle).0);
     [0.0, 1.0, 2.0].map(|phase| {
-        let waves = [(290.0, 40.0, 1.0), (170.0, 310.0, 2.0), (700.0, 500.0, 3.0), (90.0, 60.0, 4.0)];
+        let waves =
+            [(290.0, 40.0, 1.0), (170.0, 310.0, 2.0), (700.0, 500.0, 3.0), (90.0, 60.0, 4.0)];
         let sum = waves.map(|(kx, ky, own): (f64, f64, f64)| (kx * x + ky * y + own * phase).sin());
         128.0 + 28.0 * sum.iter().sum::<f64>()
     })
@@ -144,8 +147,13 @@ fn planet() -> &'static Planet {
 
 /// Toward the horizon, from low above the ground.
 fn view() -> View {
-    let pose =
-        Pose::from_eye(&body(), at(0.0, 0.1), Meters(3e3), Degrees(25.0).into(), Degrees(-9.0).into());
+    let pose = Pose::from_eye(
+        &body(),
+        at(0.0, 0.1),
+        Meters(3e3),
+        Degrees(25.0).into(),
+        Degrees(-9.0).into(),
+    );
     pose.view(Degrees(20.0).into(), SIZE, 1.0)
 }
 
@@ -154,7 +162,8 @@ fn met(caster: &Caster<'_>, pixel: DVec2) -> Option<Geographic> {
     let (eye, direction) = (caster.view.eye, caster.direction(pixel));
     let (along, radius) = (-eye.dot(direction), body().a().0);
     let half2 = radius * radius - (eye + along * direction).length_squared();
-    (half2 > 0.0).then(|| geographic_from_normal((eye + (along - half2.sqrt()) * direction) / radius))
+    (half2 > 0.0)
+        .then(|| geographic_from_normal((eye + (along - half2.sqrt()) * direction) / radius))
 }
 
 /// The mean of the colors at many rays through a pixel.
@@ -199,7 +208,7 @@ fn far_ground_neither_aliases_nor_blurs() {
         assert!(squares.len() > 20_000, "{}", squares.len());
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
-    let [one, two, eight, sixteen] = [1, 2, 8, 16].map(&mut off);
-    println!("1: {one:.2}, 2: {two:.2}, 8: {eight:.2}, 16: {sixteen:.2} codes");
-    assert!(eight < 0.5 * one && eight < two && sixteen < 1.05 * eight, "{one} {two} {eight} {sixteen}");
+    let [round, one, two, eight, sixteen] = [0, 1, 2, 8, 16].map(&mut off);
+    println!("round: {round:.2}, 1: {one:.2}, 2: {two:.2}, 8: {eight:.2}, 16: {sixteen:.2} codes");
+    assert!(eight < 0.5 * one.min(round) && eight < two && sixteen < 1.05 * eight);
 }

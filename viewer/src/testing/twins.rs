@@ -190,7 +190,7 @@ fn places_are_found_to_a_sixteenth_of_a_texel() {
 
 #[test]
 fn all_shaders_are_valid() {
-    for program in [Program::Mesh, Program::Shade, Program::Measure] {
+    for program in [Program::Points, Program::Mesh, Program::Shade, Program::Measure] {
         let module = naga::front::wgsl::parse_str(&program.source()).unwrap();
         naga::valid::Validator::new(
             naga::valid::ValidationFlags::all(),
@@ -226,7 +226,7 @@ macro_rules! assert_mirrored {
 fn shaders_and_rust_agree_on_structures() {
     assert_mirrored!(Scene: right, focal_x, up, focal_y, backward, near, sun, ambient, background,
         exaggeration, viewport, equatorial_radius, eccentricity2, bare, pixel_angle, ramp, ramp_stops,
-        ramp_opacity, anisotropy, exposure, relief, debug, slot_bounds, tolerance_px);
+        ramp_opacity, anisotropy, exposure, relief, debug, slot_bounds, tolerance_px, edges, patches);
     assert_mirrored!(Atmosphere: rayleigh, rayleigh_height, mie, mie_height, mie_extinction,
         asymmetry, eye_up, eye_height, radius, top);
     assert_mirrored!(Frame: origin, height, east, north, up, lists);
