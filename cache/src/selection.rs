@@ -120,7 +120,7 @@ pub struct FailedPage {
 /// The answer to a view, or to several at once.
 #[derive(Debug)]
 pub struct Selection {
-    /// Changes whenever `pages` or `datasets` do, within a session.
+    /// Changes whenever `pages`, `roots` or `datasets` do, within a session.
     pub generation: u64,
     /// How often the cache's datasets had changed: which of its states is drawn.
     pub scene: u64,
@@ -129,6 +129,9 @@ pub struct Selection {
     /// Every page in memory that the view uses, coarse first: those it wants, and the ancestors
     /// that stand in for the missing ones.
     pub pages: Vec<Arc<ResidentPage>>,
+    /// The coarsest pages of the datasets that `pages` belong to, where they are in memory and not
+    /// among `pages`: for a viewer that has no room, or no time yet, for all of those.
+    pub roots: Vec<Arc<ResidentPage>>,
     /// Pages that the view wants and that may still come.
     pub missing: usize,
     /// Pages that the view wants and that cannot be read. Their ancestors stand in for them.

@@ -14,7 +14,7 @@ use crate::memo::Memo;
 use crate::motion::Motion;
 use crate::scene::Scene;
 use crate::search::{Found, Hidden, search};
-use crate::selection::{DatasetInfo, Datasets, Selection};
+use crate::selection::{DatasetInfo, Datasets, ResidentPage, Selection};
 use crate::store::{PageName, Store};
 use crate::view::{Lens, View};
 
@@ -86,6 +86,7 @@ impl Session {
             scene: scene.generation,
             datasets: Datasets::default(),
             pages: Vec::new(),
+            roots: Vec::new(),
             missing: 0,
             failed: Vec::new(),
             tolerance_px: f64::INFINITY,
@@ -265,11 +266,11 @@ impl Session {
             }
         }
         let Showing { found, .. } = &self.shown;
-        let Match { pages, mut roots, missing, failed, mut error_px } = matched;
+        let Match { pages, roots: mut pinned, missing, failed, mut error_px } = matched;
         let stats = &mut store.stats;
         stats.hits += (found.wanted.len() - missing.min(found.wanted.len())) as u64;
         stats.misses += missing as u64;
-        store.pin_roots(self.number, &mut roots);
+        store.pin_roots(self.number, &mut pinned);
         store.replace_requests(self.number, requests);
         self.count_first(store);
         if missing == 0 && self.next.is_none() && self.look_ahead {
@@ -282,8 +283,8 @@ impl Session {
             error_px = error_px.max(found.tolerance_px);
         }
         let before = &self.last;
-        let same_pages = before.pages.len() == pages.len()
-            && before.pages.iter().zip(&pages).all(|(one, other)| Arc::ptr_eq(one, other));
+        let roots = roots_beside(&pages, store.roots(self.number));
+        let same_pages = are_same(&before.pages, &pages) && are_same(&before.roots, &roots);
         self.numbers.clear();
         self.numbers.extend(pages.iter().map(|page| page.dataset));
         self.numbers.extend(failed.iter().map(|failed| failed.dataset));
@@ -304,6 +305,7 @@ impl Session {
             scene: scene.generation,
             datasets,
             pages,
+            roots,
             missing,
             failed,
             tolerance_px: found.tolerance_px,
@@ -362,4 +364,24 @@ impl Drop for Session {
         // What it held may make room for others.
         shared.wake();
     }
+}
+
+fn are_same(some: &[Arc<ResidentPage>], others: &[Arc<ResidentPage>]) -> bool {
+    some.len() == others.len()
+        && some.iter().zip(others).all(|(one, other)| Arc::ptr_eq(one, other))
+}
+
+/// Those of `roots` that stand above some of `pages`, which are sorted, and are not among them.
+fn roots_beside(
+    pages: &[Arc<ResidentPage>],
+    roots: &[Arc<ResidentPage>],
+) -> Vec<Arc<ResidentPage>> {
+    let name = |page: &ResidentPage| (page.entry.page, page.dataset);
+    let is_shown =
+        |root: &ResidentPage| pages.binary_search_by_key(&name(root), |page| name(page)).is_ok();
+    let mut finer: Vec<usize> =
+        pages.iter().filter(|page| page.entry.page.level.0 > 0).map(|page| page.dataset).collect();
+    finer.sort_unstable();
+    let stands_above = |root: &ResidentPage| finer.binary_search(&root.dataset).is_ok();
+    roots.iter().filter(|root| stands_above(root) && !is_shown(root)).cloned().collect()
 }

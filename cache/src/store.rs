@@ -220,6 +220,11 @@ impl Store {
         std::mem::swap(&mut self.queues.entry(session).or_default().roots, roots);
     }
 
+    /// The roots that are pinned for a session.
+    pub(crate) fn roots(&self, session: u64) -> &[Arc<ResidentPage>] {
+        self.queues.get(&session).map_or(&[], |queue| &queue.roots)
+    }
+
     /// The next load to start, its memory reserved: the most urgent one of each session in turn.
     pub(crate) fn next(&mut self) -> Option<Request> {
         if self.loading.len() >= self.limits.loads {

@@ -10,6 +10,7 @@ use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::{Geographic, LatitudeKind, geographic_from_normal, surface_normal};
 use areoid_formats::grid::{Grid, TexelPoint};
 use areoid_formats::projection::{Crs, Pole, Projection};
+use areoid_formats::pyramid::PoleContact;
 use areoid_formats::units::Radians;
 use glam::{DMat3, DVec3};
 
@@ -69,6 +70,17 @@ impl Cap {
     pub(crate) fn meets(&self, direction: DVec3, reach: f64) -> bool {
         self.center.distance(direction) <= self.chord + reach
     }
+}
+
+/// What the shaders have to know of a dataset's part of the page table.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Windows {
+    /// Where its windows start.
+    pub(crate) first: i32,
+    /// The finest level with a page.
+    pub(crate) deepest: i32,
+    /// The entry of its coarsest page, where that is a single one.
+    pub(crate) root: u32,
 }
 
 /// The constants of one dataset's map.
@@ -149,10 +161,9 @@ impl DatasetMap {
         Self { info: info.clone(), cap, factors, latitude_ratio }
     }
 
-    /// The constants for the shaders. The windows of the page table start at `first_window`, and
-    /// datasets of the same priority are blended.
+    /// The constants for the shaders. Datasets of the same priority are blended.
     #[expect(clippy::cast_possible_truncation, reason = "sizes and ratios; no place on the planet")]
-    pub(crate) fn mirrored(&self, first_window: i32, part: &Part) -> mirror::Dataset {
+    pub(crate) fn mirrored(&self, windows: &Windows, part: &Part) -> mirror::Dataset {
         let (crs, pyramid) = (self.info.grid.crs(), self.info.grid.pyramid());
         let extent = pyramid.extent();
         let body = &crs.body;
@@ -170,7 +181,7 @@ impl DatasetMap {
             size: [narrow(extent.width), narrow(extent.height)],
             interior: narrow(pyramid.interior()),
             levels: i32::from(pyramid.finest().0) + 1,
-            first_window,
+            first_window: windows.first,
             priority: part.priority,
             polar,
             wraps: i32::from(extent.wraps),
@@ -181,6 +192,11 @@ impl DatasetMap {
             ground: [(body.a().0 / per_unit[0]) as f32, (meridian / per_unit[1]) as f32],
             weight: part.weight as f32,
             series: part.series,
+            root: windows.root,
+            deepest: windows.deepest,
+            poles: u32::from(extent.north != PoleContact::None)
+                | u32::from(extent.south != PoleContact::None) << 1,
+            _pad: 0,
         }
     }
 

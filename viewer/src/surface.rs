@@ -1,7 +1,7 @@
 //! The composed surface on the CPU, in f64: what the shaders compute, from the same pages.
 //!
-//! A dataset answers at a place with the blend of two neighboring levels, each from the finest page
-//! in memory that is not finer than it; the datasets are composed by
+//! A dataset of heights answers at a place with its finest page in memory, one of colors or normals with
+//! the blend of two neighboring levels, each from the finest page that is not finer than it; the datasets are composed by
 //! [`areoid_formats::compose`]. The renderer takes the heights of patch corners from here, and the
 //! tests the whole picture.
 
@@ -25,6 +25,10 @@ pub const BARE_COLOR: [f64; 3] = [158.0, 140.0, 128.0];
 pub struct Surface {
     datasets: Datasets,
     pages: HashMap<(usize, PageKey), Arc<ResidentPage>>,
+    /// What answers where no other page does, by dataset.
+    roots: HashMap<usize, Arc<ResidentPage>>,
+    /// The finest level of `pages`, by dataset.
+    deepest: HashMap<usize, u8>,
     /// Datasets that take part and have a page at all.
     present: Vec<(usize, Part)>,
     ramp: Option<Ramp>,
@@ -69,8 +73,14 @@ impl Surface {
             (part.weight > 0.0).then_some((number, part))
         };
         let present = numbers.into_iter().filter_map(part_of).collect();
+        let roots = selection.roots.iter().map(|root| (root.dataset, Arc::clone(root))).collect();
+        let mut deepest = HashMap::new();
+        for page in &selection.pages {
+            let level: &mut u8 = deepest.entry(page.dataset).or_default();
+            *level = page.entry.page.level.0.max(*level);
+        }
         let (datasets, ramp) = (selection.datasets.clone(), style.ramp.clone());
-        Self { datasets, pages, present, ramp }
+        Self { datasets, pages, roots, deepest, present, ramp }
     }
 
     /// The composition of all datasets of `kind`, seen at `footprint_m` ground meters to a sample:
@@ -126,7 +136,8 @@ impl Surface {
             let (largest, _) = info.grid.crs().principal_scales(position, info.grid.pixel_size());
             let finest = f64::from(info.grid.pyramid().finest().0);
             let halvings = (footprint_m / largest).log2().max(0.0);
-            let wanted = (finest - halvings).max(0.0);
+            let is_height = plane == Plane::Heights;
+            let wanted = if is_height { finest } else { (finest - halvings).max(0.0) };
             let Some((found, bound, level)) = self.blend(dataset, position, wanted) else {
                 continue;
             };
@@ -197,8 +208,8 @@ impl Surface {
         }
     }
 
-    /// The finest page in memory at most as fine as `level`, or else the coarsest that is finer, read
-    /// at a place of the finest level.
+    /// The finest page in memory at most as fine as `level`, or else the coarsest that is finer, or else
+    /// the root, read at a place of the finest level.
     fn sample(
         &self,
         dataset: usize,
@@ -206,15 +217,25 @@ impl Surface {
         level: Level,
     ) -> Option<(Reconstruction, &ResidentPage)> {
         let grid = &self.datasets[dataset].grid;
-        let finer = level.0 + 1..=grid.pyramid().finest().0;
-        (0..=level.0).rev().chain(finer).map(Level).find_map(|level| {
+        let window_at = |level| {
             let halvings = grid.pyramid().halvings(level);
             let scale = 0.5_f64.powi(i32::try_from(halvings).unwrap_or(i32::MAX));
             let point = TexelPoint { x: place.x * scale, y: place.y * scale };
-            let window = grid.window_from_texel(level, point);
-            let page = self.page(dataset, window.page)?;
-            Some(page.page.reconstruct(window.x, window.y).map(|found| (found, page)))
-        })?
+            grid.window_from_texel(level, point)
+        };
+        let deepest = self.deepest.get(&dataset).copied().unwrap_or(0);
+        let coarser = (0..=level.0.min(deepest)).rev();
+        let found = coarser.chain(level.0 + 1..=deepest).map(Level).find_map(|level| {
+            let window = window_at(level);
+            Some((window, self.page(dataset, window.page)?))
+        });
+        let root = || {
+            let page = self.roots.get(&dataset)?;
+            (grid.pyramid().pages(Level(0)) == Some((1, 1))).then(|| (window_at(Level(0)), page))
+        };
+        let (window, page) =
+            found.or_else(|| root().map(|(window, page)| (window, page.as_ref())))?;
+        page.page.reconstruct(window.x, window.y).map(|found| (found, page))
     }
 
     fn page(&self, dataset: usize, page: PageAddress) -> Option<&ResidentPage> {

@@ -101,6 +101,7 @@ impl Planet {
             wanted: pages.len(),
             pages,
             missing: 0,
+            roots: Vec::new(),
             failed: Vec::new(),
             tolerance_px: 1.0,
             error_px: 1.0,

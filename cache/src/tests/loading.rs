@@ -504,6 +504,7 @@ fn a_height_is_that_of_the_finest_page() {
             datasets: settled.datasets.clone(),
             pages: pages.iter().map(|page| load(*page)).collect(),
             missing: 0,
+            roots: Vec::new(),
             failed: Vec::new(),
             tolerance_px: 1.0,
             error_px: 1.0,

@@ -8,6 +8,8 @@ use std::collections::HashMap;
 use areoid_formats::address::{Level, PageAddress, PageKey};
 use areoid_formats::pyramid::Pyramid;
 
+use crate::map::Windows;
+
 /// Integers in the header of a window.
 const WINDOW_LEN: usize = 5;
 
@@ -33,8 +35,13 @@ pub(crate) struct Shown {
     pub(crate) presence: u8,
 }
 
-/// Writes the windows of one dataset and says where they start.
-pub(crate) fn append(table: &mut Vec<i32>, pyramid: &Pyramid, shown: &[Shown]) -> usize {
+/// Writes the windows of one dataset. Where there is no page, `root` shows.
+pub(crate) fn append(
+    table: &mut Vec<i32>,
+    pyramid: &Pyramid,
+    shown: &[Shown],
+    root: Option<&Shown>,
+) -> Windows {
     let entries: HashMap<PageKey, u32> =
         shown.iter().map(|shown| (PageKey::from(shown.page), entry(shown))).collect();
     let first_window = table.len();
@@ -62,7 +69,10 @@ pub(crate) fn append(table: &mut Vec<i32>, pyramid: &Pyramid, shown: &[Shown]) -
             }
         }
     }
-    first_window
+    let deepest = shown.iter().map(|shown| i32::from(shown.page.level.0)).max().unwrap_or(0);
+    let root = root.filter(|_| pyramid.pages(Level(0)) == Some((1, 1))).map_or(0, entry);
+    let first = i32::try_from(first_window).expect("a table is far smaller than 2^31");
+    Windows { first, deepest, root }
 }
 
 fn entry(shown: &Shown) -> u32 {
@@ -185,7 +195,7 @@ mod tests {
                 .map(|(slot, &page)| Shown { page, slot, whole: slot % 2 == 0, presence: 7 })
                 .collect();
             let mut table = vec![7; 3];
-            let first = append(&mut table, &pyramid, &shown);
+            let first = append(&mut table, &pyramid, &shown, None).first.unsigned_abs() as usize;
 
             let asked = place(level, row, col);
             let mut ancestor = Some(asked);

@@ -2,6 +2,7 @@
 
 mod aovs;
 mod buffers;
+mod linger;
 mod options;
 mod pattern;
 mod pipelines;

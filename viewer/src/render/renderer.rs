@@ -210,14 +210,14 @@ impl Renderer {
 
     /// Brings what is new of a selection to the GPU; `None` if nothing is.
     fn follow(&mut self, selection: &Selection, options: &Options) -> Option<Brought> {
-        let is_done = |known: &Known| {
+        let is_known = self.known.as_ref().is_some_and(|known| {
             known.datasets.is(&selection.datasets)
                 && known.generation == selection.generation
                 && known.exaggeration == options.vertical_exaggeration
                 && known.style == options.style
-                && (known.brought.put_off, known.brought.coming) == (0, 0)
-        };
-        if self.known.as_ref().is_some_and(is_done) {
+        });
+        let is_done = |known: &Known| (known.brought.put_off, known.brought.coming) == (0, 0);
+        if is_known && self.known.as_ref().is_some_and(is_done) {
             return None;
         }
         let gpu = &self.gpu;
@@ -233,8 +233,10 @@ impl Renderer {
         if grown {
             self.scene_group = None;
         }
-        self.surface = Surface::styled(selection, &options.style);
-        self.detail.renew(&self.surface, options.vertical_exaggeration);
+        if !is_known {
+            self.surface = Surface::styled(selection, &options.style);
+            self.detail.renew(&self.surface, options.vertical_exaggeration);
+        }
         self.exaggeration = options.vertical_exaggeration;
         self.known = Some(Known {
             datasets: selection.datasets.clone(),

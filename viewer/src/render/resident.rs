@@ -5,6 +5,7 @@ use areoid_formats::address::PageKey;
 use areoid_formats::archive::Payload;
 use areoid_formats::page::Kind;
 
+use super::linger::{self, Trace};
 use crate::atlas::slots::PageName;
 use crate::atlas::table::{self, PRESENT, Shown};
 use crate::atlas::texture::Atlas;
@@ -53,6 +54,10 @@ pub(crate) struct Resident {
     bounds: Vec<f32>,
     /// By place in `datasets`; none for those that do not take part.
     shown: Vec<Option<Vec<Shown>>>,
+    /// By place in `datasets`: what shows where `shown` has nothing.
+    roots: Vec<Option<Shown>>,
+    /// What the picture before showed.
+    before: Vec<Trace>,
 }
 
 /// What [`Resident::bring`] did.
@@ -85,6 +90,8 @@ impl Resident {
             slot_bounds: 0,
             bounds: Vec::new(),
             shown: Vec::new(),
+            roots: Vec::new(),
+            before: Vec::new(),
         }
     }
 
@@ -112,48 +119,90 @@ impl Resident {
             atlas.next_turn(clock.seconds);
         }
         self.shown.iter_mut().flatten().for_each(Vec::clear);
+        self.roots.clear();
+        self.roots.resize(self.shown.len(), None);
 
         let mut brought = Brought::default();
         let mut left_bytes = limit_bytes;
         // First what is there, so that no new page takes its place.
-        for page in &selection.pages {
+        for page in selection.roots.iter().chain(&selection.pages) {
             self.atlases[atlas_of(selection, page)].keep(name_of(page));
         }
-        for page in &selection.pages {
-            let place = selection.datasets.place(page.dataset);
-            let place = place.expect("a page's dataset stands beside it");
-            let Some(shown) = &mut self.shown[place] else { continue };
-            let atlas = &mut self.atlases[atlas_of(selection, page)];
-            let name = name_of(page);
-            let resident = atlas.keep(name);
-            let bytes = page.page.bytes() as u64;
-            let slot = if resident.is_some() {
-                resident
-            } else if left_bytes == 0 {
-                brought.put_off += 1;
-                continue;
-            } else {
-                left_bytes = left_bytes.saturating_sub(bytes);
-                brought.uploaded += 1;
-                brought.uploaded_bytes += bytes;
-                atlas.place(gpu, name, &page.page)
-            };
-            let Some(slot) = slot else {
-                brought.left_out += 1;
-                continue;
-            };
-            let whole = page.page.coverage().is_none();
-            let presence = clock.presence(atlas.since(slot));
-            brought.coming += usize::from(presence < PRESENT);
-            if selection.datasets[page.dataset].kind == Kind::Height {
-                let slot = slot as usize;
-                self.bounds.resize(self.bounds.len().max(slot + 1), 0.0);
-                self.bounds[slot] = page.entry.bound;
+        let mut traces = Vec::with_capacity(selection.pages.len());
+        for page in &selection.roots {
+            // They show where there is no room for others, and are few.
+            let mut unlimited = u64::MAX;
+            let trace = self.place(gpu, selection, page, &mut unlimited, &mut brought);
+            if let Some((place, trace)) = trace {
+                self.roots[place] = Some(trace.shown);
             }
-            shown.push(Shown { page: page.entry.page, slot, whole, presence });
         }
+        for page in &selection.pages {
+            let trace = self.place(gpu, selection, page, &mut left_bytes, &mut brought);
+            let Some((place, mut trace)) = trace else { continue };
+            trace.shown.presence =
+                clock.presence(self.atlases[trace.atlas].since(trace.shown.slot));
+            brought.coming += usize::from(trace.shown.presence < PRESENT);
+            traces.push((place, trace));
+        }
+        if brought.coming > 0 {
+            let before = std::mem::take(&mut self.before);
+            linger::add(&mut traces, &before, |trace| {
+                let place = selection.datasets.place(trace.name.dataset)?;
+                self.shown[place].as_ref()?;
+                let atlas = &mut self.atlases[trace.atlas];
+                let slot = atlas.keep(trace.name)?;
+                Some((
+                    place,
+                    Shown { slot, presence: clock.presence(atlas.since(slot)), ..trace.shown },
+                ))
+            });
+        }
+        for (place, trace) in &traces {
+            self.shown[*place].as_mut().expect("it takes part").push(trace.shown);
+        }
+        self.before = traces.into_iter().map(|(_, trace)| trace).collect();
         self.write_table(selection);
         brought
+    }
+
+    /// A page's slot, written if it is new and there is room, and the place of its dataset; none if
+    /// that takes no part.
+    fn place(
+        &mut self,
+        gpu: &Gpu,
+        selection: &Selection,
+        page: &ResidentPage,
+        left_bytes: &mut u64,
+        brought: &mut Brought,
+    ) -> Option<(usize, Trace)> {
+        let place = selection.datasets.place(page.dataset);
+        let place = place.expect("a page's dataset stands beside it");
+        self.shown[place].as_ref()?;
+        let (atlas, name) = (atlas_of(selection, page), name_of(page));
+        let slot = if let Some(slot) = self.atlases[atlas].keep(name) {
+            slot
+        } else if *left_bytes == 0 {
+            brought.put_off += 1;
+            return None;
+        } else if let Some(slot) = self.atlases[atlas].place(gpu, name, &page.page) {
+            let bytes = page.page.bytes() as u64;
+            *left_bytes = left_bytes.saturating_sub(bytes);
+            brought.uploaded += 1;
+            brought.uploaded_bytes += bytes;
+            slot
+        } else {
+            brought.left_out += 1;
+            return None;
+        };
+        if selection.datasets[page.dataset].kind == Kind::Height {
+            let slot = slot as usize;
+            self.bounds.resize(self.bounds.len().max(slot + 1), 0.0);
+            self.bounds[slot] = page.entry.bound;
+        }
+        let whole = page.page.coverage().is_none();
+        let shown = Shown { page: page.entry.page, slot, whole, presence: PRESENT };
+        Some((place, Trace { name, atlas, shown }))
     }
 
     /// Sorts the datasets and fits the atlases to their pages.
@@ -193,8 +242,10 @@ impl Resident {
         let infos: Vec<_> = selection.datasets.iter().map(|(_, info)| info).collect();
         for ((dataset, part), map) in self.order.iter().zip(self.maps.iter()) {
             let shown = self.shown[*dataset].as_deref().unwrap_or_default();
-            let first = table::append(&mut self.table, infos[*dataset].grid.pyramid(), shown);
-            self.mirrored.push(map.mirrored(count(first), part));
+            let pyramid = infos[*dataset].grid.pyramid();
+            let root = self.roots[*dataset].as_ref();
+            let windows = table::append(&mut self.table, pyramid, shown, root);
+            self.mirrored.push(map.mirrored(&windows, part));
         }
         self.slot_bounds = count(self.table.len());
         self.table.extend(self.bounds.iter().map(|bound| bound.to_bits().cast_signed()));

@@ -6,7 +6,8 @@
 // 1 - Π (1 - c·u); the members of a series count as one dataset, of Σ c·u.
 //
 // Units      footprint in ground meters to a sample: it chooses the levels, between two of which
-//            values are blended; colors sRGB 0 to 1; normals as codes, 0 to 1
+//            values are blended; colors sRGB 0 to 1; normals as codes, 0 to 1. Heights are those of
+//            the finest page that is there: pages are chosen by their error, not by their texels.
 // Twin       surface.rs, areoid_formats::compose
 
 const HEIGHTS: u32 = 0u;
@@ -132,7 +133,8 @@ fn compose(frame_index: u32, d: vec3f, footprint_m: f32, plane: u32) -> Composed
         if point.inside {
             let scales = principal_scales(dataset, r, z);
             let halvings = max(log2(footprint_m / scales.x), 0.0);
-            let wanted = max(f32(dataset.levels - 1) - halvings, 0.0);
+            let finest = f32(dataset.levels - 1);
+            let wanted = select(max(finest - halvings, 0.0), finest, plane == HEIGHTS);
             let answer = read_levels(dataset, point, wanted, base, plane);
             if answer.texel.coverage > 0.0 {
                 let cover = answer.texel.coverage * dataset.weight;

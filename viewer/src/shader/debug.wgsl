@@ -4,7 +4,7 @@
 // It tells of the front color dataset at a place, or of the front one of heights; of errors, of
 // heights alone.
 //
-// Mirrored   scene.debug <-> viewer/src/render/renderer.rs: Debug
+// Mirrored   scene.debug <-> viewer/src/render/options.rs: Debug
 
 const SHOW_LEVEL: u32 = 1u;
 const SHOW_DATASET: u32 = 2u;
@@ -46,7 +46,7 @@ fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> v
             let scales = principal_scales(dataset, r, z);
             let halvings = max(log2(footprint_m / scales.x), 0.0);
             let wanted = i32(ceil(max(f32(dataset.levels - 1) - halvings, 0.0)));
-            let found = find_page(dataset, point, wanted);
+            let found = find_page(dataset, point, select(wanted, dataset.levels - 1, plane == HEIGHTS));
             if found.entry == 0u {
                 continue;
             }

@@ -44,6 +44,13 @@ struct Dataset {
     weight: f32,
     // Equal for states of one thing, or 0.
     series: u32,
+    // The page table's entry of the coarsest page, for places of which it knows no other; or 0.
+    root: u32,
+    // The finest level that the page table knows pages of.
+    deepest: i32,
+    // 1 where the top edge is the north pole, and 2 where the bottom edge is the south pole.
+    poles: u32,
+    pad0: u32,
 }
 
 struct Anchor {
@@ -148,8 +155,10 @@ fn map_point(dataset: Dataset, anchor: Anchor, r0: f32, z0: f32, d: vec3f) -> Ma
     let below = texel.x < last.x || (texel.x == last.x && fraction.x == 0.0);
     let above = texel.y < last.y || (texel.y == last.y && fraction.y == 0.0);
     var inside = below && above && texel.x >= 0 && texel.y >= 0;
-    // Rounding leaves a map around the body by less than this at its poles.
-    if dataset.wraps != 0 && !inside && texel.y >= -1 && texel.y <= last.y {
+    // Rounding leaves a map by less than this at a pole.
+    let is_beyond_top = (dataset.poles & 1u) != 0u && texel.y == -1;
+    let is_beyond_bottom = (dataset.poles & 2u) != 0u && texel.y == last.y;
+    if dataset.wraps != 0 && !inside && (is_beyond_top || is_beyond_bottom) {
         inside = true;
         fraction.y = select(0.0, fraction.y, texel.y >= 0 && texel.y < last.y);
         texel.y = clamp(texel.y, 0, last.y);

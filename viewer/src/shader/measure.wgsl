@@ -1,7 +1,7 @@
 // measure.wgsl - the composed heights of all pixels and the levels they come from, for reading
 // back.
 //
-// Twin       picture/aovs.rs turns them into places, in f64
+// Twin       render/aovs.rs turns them into places, in f64
 
 struct Measure {
     // Meters above the frame of the patch, not exaggerated.

@@ -72,22 +72,25 @@ fn entry_place(dataset: Dataset, point: MapPoint, level: i32) -> i32 {
     return -1;
 }
 
-// The finest page in memory at most as fine as `level`, or else the coarsest that is finer; its entry
-// is 0 if there is none.
+// The finest page in memory at most as fine as `level`, or else the coarsest that is finer, or else the
+// root; its entry is 0 if there is none.
 fn find_page(dataset: Dataset, point: MapPoint, level: i32) -> Found {
     var entry = 0u;
-    for (var asked = level; asked >= 0; asked--) {
+    for (var asked = min(level, dataset.deepest); asked >= 0; asked--) {
         let place = entry_place(dataset, point, asked);
         if place >= 0 {
             entry = u32(table[place]);
             break;
         }
     }
-    for (var asked = level + 1; asked < dataset.levels && (entry & HOLDS) == 0u; asked++) {
+    for (var asked = level + 1; asked <= dataset.deepest && (entry & HOLDS) == 0u; asked++) {
         let place = entry_place(dataset, point, asked);
         if place >= 0 {
             entry = u32(table[place]);
         }
+    }
+    if (entry & HOLDS) == 0u {
+        entry = dataset.root;
     }
     if (entry & HOLDS) == 0u {
         return Found(0u, vec2i(0), vec2f(0.0));

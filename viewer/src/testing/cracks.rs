@@ -141,6 +141,7 @@ fn some_of(
         generation: 1 + round as u64,
         datasets: whole.datasets.clone(),
         pages: whole.pages.iter().filter(keep).cloned().collect(),
+        roots: Vec::new(),
         failed: Vec::new(),
         ..*whole
     }

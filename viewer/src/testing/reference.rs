@@ -21,6 +21,7 @@ fn whole() -> Selection {
     Selection {
         datasets: whole.datasets.clone(),
         pages: whole.pages.clone(),
+        roots: Vec::new(),
         failed: Vec::new(),
         ..*whole
     }

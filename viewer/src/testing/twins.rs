@@ -11,7 +11,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3};
 
 use super::{Random, dataset, gpu};
-use crate::map::DatasetMap;
+use crate::map::{DatasetMap, Windows};
 use crate::mesh::frame::axes_at;
 use crate::mirror;
 use crate::render::testing::compute;
@@ -150,8 +150,14 @@ fn places_are_found_to_a_sixteenth_of_a_texel() {
             ..Zeroable::zeroed()
         };
         let source = [SURFACE, &[PROBE]].concat().join("\n");
-        let answers: Vec<Probe> =
-            compute(gpu(), &source, &scene, &[map.mirrored(0, &part)], &anchors, &asked);
+        let answers: Vec<Probe> = compute(
+            gpu(),
+            &source,
+            &scene,
+            &[map.mirrored(&Windows::default(), &part)],
+            &anchors,
+            &asked,
+        );
 
         let width = f64::from(grid.pyramid().extent().width);
         let mut worst = 0.0_f64;
@@ -231,7 +237,7 @@ fn shaders_and_rust_agree_on_structures() {
         asymmetry, eye_up, eye_height, radius, top);
     assert_mirrored!(Frame: origin, height, east, north, up, lists);
     assert_mirrored!(Dataset: size, interior, levels, first_window, priority, polar, wraps, period,
-        latitude_ratio, hemisphere, eccentricity, ground, weight, series);
+        latitude_ratio, hemisphere, eccentricity, ground, weight, series, root, deepest, poles);
     assert_mirrored!(Anchor: texel, fraction, matrix, dataset);
     assert_mirrored!(Edge: frames, half_chord, direction, distance, come);
     assert_mirrored!(Patch: corner_a, frame, corner_b, sides, corner_c, distance, edges, come);
@@ -243,6 +249,7 @@ fn levels_are_counted_alike() {
     let degrees = Crs::new(Projection::Geographic, body);
     let outline = Outline { origin: [0.0, 90.0], pixel_size: [0.25; 2], width: 1440, height: 720 };
     let info = dataset("globe", Kind::Height, degrees, outline, 64, 0);
-    let mirrored = DatasetMap::new(&info).mirrored(0, &Style::default().part("", Kind::Height, 0));
+    let mirrored = DatasetMap::new(&info)
+        .mirrored(&Windows::default(), &Style::default().part("", Kind::Height, 0));
     assert_eq!(Level(u8::try_from(mirrored.levels - 1).unwrap()), info.grid.pyramid().finest());
 }
