@@ -72,7 +72,7 @@ pub(crate) struct Shot {
     style: Option<PathBuf>,
 }
 
-/// Pixels of the largest picture: its deferred buffer takes 40 bytes a pixel.
+/// Pixels of the largest picture: its buffers take 32 bytes a pixel.
 const MOST_PIXELS: u32 = 8192 * 2048;
 
 impl Quality {

@@ -112,10 +112,16 @@ impl Args {
                 selection.missing, selection.tolerance_px
             ));
         }
+        if statistics.left_out_pages > 0 {
+            output::say(format_args!(
+                "warning: {} pages have no room on the GPU; coarser ones stand in",
+                statistics.left_out_pages
+            ));
+        }
         let bare = selection.pages.is_empty() && !cache.datasets().is_empty() && unmet;
         let whole = selection.failed.is_empty()
             && cache.problems().is_empty()
-            && selection.missing == 0
+            && (selection.missing, statistics.left_out_pages) == (0, 0)
             && !bare;
         Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }

@@ -7,7 +7,8 @@
 //!
 //! `eye` is the longitude and the geographic latitude in degrees and meters above the reference
 //! surface; `look` is heading and pitch in degrees. Between two keys the place goes along a great
-//! circle, the height by equal factors in equal times, and the camera turns about one axis. Two keys
+//! circle, the height by equal factors in equal times (above the lower key, if that is below the
+//! reference surface), and the camera turns about one axis. Two keys
 //! of one time are a leap. Before the first key and after the last one the eye rests.
 
 use areoid_formats::body::Ellipsoid;
@@ -60,6 +61,9 @@ pub enum FlightError {
 }
 
 impl Flight {
+    /// The least height of an eye above the reference surface: basins lie below that.
+    pub const LOWEST_M: f64 = -1e5;
+
     /// A flight through `keys`.
     ///
     /// # Errors
@@ -83,8 +87,8 @@ impl Flight {
             if key.eye[1].abs() > 90.0 {
                 return fail("its latitude is past a pole");
             }
-            if !(0.0..=1e12).contains(&key.eye[2]) {
-                return fail("its height must be 0 to 1e12 m");
+            if !(Self::LOWEST_M..=1e12).contains(&key.eye[2]) {
+                return fail("its height must be -1e5 to 1e12 m");
             }
             last = key.seconds;
         }
@@ -143,9 +147,11 @@ fn between(ellipsoid: &Ellipsoid, keys: [&Key; 2], share: f64) -> Pose {
     let arc = DQuat::from_rotation_arc(normals[0], normals[1]);
     let normal = DQuat::IDENTITY.slerp(arc, share) * normals[0];
     let position = geographic(normal);
-    // So that an eye on the ground can rise, a meter is added.
-    let logs = keys.map(|key| key.eye[2].ln_1p());
-    let altitude = (logs[0] + share * (logs[1] - logs[0])).exp_m1();
+    // Above the reference surface, or the lower key. So that an eye there can rise, a meter is added.
+    let [first, last] = keys.map(|key| key.eye[2]);
+    let base = first.min(last).min(0.0);
+    let logs = [first, last].map(|height| (height - base).ln_1p());
+    let altitude = base + (logs[0] + share * (logs[1] - logs[0])).exp_m1();
     let eye = ellipsoid.cartesian_from_geographic(position, Meters(altitude));
 
     // The cameras relative to axes that are carried along the arc.
@@ -187,9 +193,12 @@ mod tests {
             key(2.0, [-10.0, 85.0, 1e3], [30.0, -20.0]),
             key(2.0, [0.0, 0.0, 1e6], [0.0, -45.0]),
             key(5.0, [0.0, 0.0, 1e6], [90.0, -45.0]),
+            key(6.0, [70.0, -42.0, -5e3], [90.0, -10.0]),
         ];
         let (flight, ellipsoid) = (Flight::new(keys.clone()).unwrap(), ellipsoid());
-        for (at, key) in [(0.0, keys[0]), (2.0, keys[2]), (5.0, keys[3]), (9.0, keys[3])] {
+        for (at, key) in
+            [(0.0, keys[0]), (2.0, keys[2]), (5.0, keys[3]), (6.0, keys[4]), (9.0, keys[4])]
+        {
             let (pose, truth) = (flight.pose(&ellipsoid, at), key.pose(&ellipsoid));
             assert!((pose.eye - truth.eye).length() < 1e-3, "{at}");
             assert!(pose.orientation.abs_diff_eq(truth.orientation, 1e-9), "{at}");
@@ -220,7 +229,7 @@ mod tests {
             ("", "no flight"),
             (r#"{"keys":[]}"#, "at least one key"),
             (r#"{"keys":[{"seconds":0,"eye":[0,91,1],"look":[0,0]}]}"#, "past a pole"),
-            (r#"{"keys":[{"seconds":0,"eye":[0,0,-1],"look":[0,0]}]}"#, "height"),
+            (r#"{"keys":[{"seconds":0,"eye":[0,0,-1e6],"look":[0,0]}]}"#, "height"),
             (r#"{"keys":[{"seconds":-1,"eye":[0,0,1],"look":[0,0]}]}"#, "before the one before"),
             (r#"{"keys":[{"seconds":0,"eye":[0,0,1e999],"look":[0,0]}]}"#, "no flight"),
             (r#"{"keys":[],"more":1}"#, "no flight"),

@@ -58,6 +58,9 @@ pub(super) struct Flown {
     pub(super) failed: usize,
 }
 
+/// How often a flight that waits looks for an interruption.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
 impl Replay<'_> {
     /// Flies over a cache's datasets; `each` is told when a frame is drawn.
     pub(super) fn run(
@@ -80,7 +83,7 @@ impl Replay<'_> {
                 return Err(io::Error::other(reason).into());
             }
             let seconds = self.seconds(number);
-            let late = self.wait_for(start, seconds);
+            let late = self.wait_for(start, seconds, interrupt);
             let pose = self.flight.pose(&ellipsoid, seconds);
             let (at, _) = ellipsoid.geographic_from_cartesian(pose.eye);
             let over = [at.longitude, at.latitude].map(|angle| angle.0.to_degrees());
@@ -129,12 +132,14 @@ impl Replay<'_> {
     }
 
     /// Waits until a frame's time has come; how late it is.
-    fn wait_for(&self, start: Instant, seconds: f64) -> Duration {
+    fn wait_for(&self, start: Instant, seconds: f64, interrupt: &Interrupt) -> Duration {
         let Ok(due) = Duration::try_from_secs_f64(seconds) else { return Duration::ZERO };
         if self.pace != Pace::Real {
             return Duration::ZERO;
         }
-        std::thread::sleep(due.saturating_sub(start.elapsed()));
+        while start.elapsed() < due && interrupt.proceed() == Proceed::Yes {
+            std::thread::sleep(due.saturating_sub(start.elapsed()).min(LOOK_EVERY));
+        }
         start.elapsed().saturating_sub(due)
     }
 

@@ -79,8 +79,8 @@ pub(crate) struct Windows {
     pub(crate) first: i32,
     /// The finest level with a page.
     pub(crate) deepest: i32,
-    /// The entry of its coarsest page, where that is a single one.
-    pub(crate) root: u32,
+    /// Where the entries of all pages of the coarsest level are; below 0 for none.
+    pub(crate) roots: i32,
 }
 
 /// The constants of one dataset's map.
@@ -192,7 +192,7 @@ impl DatasetMap {
             ground: [(body.a().0 / per_unit[0]) as f32, (meridian / per_unit[1]) as f32],
             weight: part.weight as f32,
             series: part.series,
-            root: windows.root,
+            roots: windows.roots,
             deepest: windows.deepest,
             poles: u32::from(extent.north != PoleContact::None)
                 | u32::from(extent.south != PoleContact::None) << 1,

@@ -97,7 +97,7 @@ pub(crate) struct Dataset {
     pub(crate) ground: [f32; 2],
     pub(crate) weight: f32,
     pub(crate) series: u32,
-    pub(crate) root: u32,
+    pub(crate) roots: i32,
     pub(crate) deepest: i32,
     pub(crate) poles: u32,
     pub(crate) _pad: u32,

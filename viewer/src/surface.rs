@@ -25,8 +25,8 @@ pub const BARE_COLOR: [f64; 3] = [158.0, 140.0, 128.0];
 pub struct Surface {
     datasets: Datasets,
     pages: HashMap<(usize, PageKey), Arc<ResidentPage>>,
-    /// What answers where no other page does, by dataset.
-    roots: HashMap<usize, Arc<ResidentPage>>,
+    /// What answers where no page does.
+    roots: HashMap<(usize, PageKey), Arc<ResidentPage>>,
     /// The finest level of `pages`, by dataset.
     deepest: HashMap<usize, u8>,
     /// Datasets that take part and have a page at all.
@@ -59,11 +59,11 @@ impl Surface {
     /// The surface that a selection's pages make in a style.
     #[must_use]
     pub fn styled(selection: &Selection, style: &Style) -> Self {
-        let pages: HashMap<_, _> = selection
-            .pages
-            .iter()
-            .map(|page| ((page.dataset, PageKey::from(page.entry.page)), Arc::clone(page)))
-            .collect();
+        let by_name = |pages: &[Arc<ResidentPage>]| -> HashMap<_, _> {
+            let name = |page: &ResidentPage| (page.dataset, PageKey::from(page.entry.page));
+            pages.iter().map(|page| (name(page), Arc::clone(page))).collect()
+        };
+        let pages = by_name(&selection.pages);
         let mut numbers: Vec<usize> = pages.keys().map(|&(dataset, _)| dataset).collect();
         numbers.sort_unstable();
         numbers.dedup();
@@ -73,7 +73,7 @@ impl Surface {
             (part.weight > 0.0).then_some((number, part))
         };
         let present = numbers.into_iter().filter_map(part_of).collect();
-        let roots = selection.roots.iter().map(|root| (root.dataset, Arc::clone(root))).collect();
+        let roots = by_name(&selection.roots);
         let mut deepest = HashMap::new();
         for page in &selection.pages {
             let level: &mut u8 = deepest.entry(page.dataset).or_default();
@@ -230,11 +230,11 @@ impl Surface {
             Some((window, self.page(dataset, window.page)?))
         });
         let root = || {
-            let page = self.roots.get(&dataset)?;
-            (grid.pyramid().pages(Level(0)) == Some((1, 1))).then(|| (window_at(Level(0)), page))
+            let window = window_at(Level(0));
+            let page = self.roots.get(&(dataset, PageKey::from(window.page)))?;
+            Some((window, page.as_ref()))
         };
-        let (window, page) =
-            found.or_else(|| root().map(|(window, page)| (window, page.as_ref())))?;
+        let (window, page) = found.or_else(root)?;
         page.page.reconstruct(window.x, window.y).map(|found| (found, page))
     }
 

@@ -173,6 +173,8 @@ fn window(info: &DatasetInfo, image: &LevelImage, address: PageAddress) -> Optio
 
 mod air;
 
+mod arrivals;
+
 pub(crate) mod caster;
 
 mod composition;

@@ -23,15 +23,13 @@ pub(crate) struct Slots {
     /// By slot.
     holders: Vec<Holder>,
     turn: u64,
-    seconds: f64,
 }
 
-/// Who is in a slot, when it was last used, and since when it has been, turn after turn.
+/// Who is in a slot, and when it was last used.
 #[derive(Clone, Copy, Debug)]
 struct Holder {
     page: PageName,
     used: u64,
-    since: f64,
 }
 
 /// Where a page went.
@@ -47,7 +45,7 @@ pub(crate) enum Placed {
 
 impl Slots {
     pub(crate) fn new(capacity: u32) -> Self {
-        Self { capacity, slot_of: HashMap::new(), holders: Vec::new(), turn: 0, seconds: 0.0 }
+        Self { capacity, slot_of: HashMap::new(), holders: Vec::new(), turn: 0 }
     }
 
     /// More slots; those in use stay.
@@ -55,24 +53,15 @@ impl Slots {
         self.capacity = self.capacity.max(capacity);
     }
 
-    /// Starts a turn, at a time: pages placed before it may lose their slots.
-    pub(crate) fn next_turn(&mut self, seconds: f64) {
+    /// Starts a turn: pages placed before it may lose their slots.
+    pub(crate) fn next_turn(&mut self) {
         self.turn += 1;
-        self.seconds = seconds;
-    }
-
-    /// When the page in a slot came into use.
-    pub(crate) fn since(&self, slot: u32) -> f64 {
-        self.holders[slot as usize].since
     }
 
     /// Marks a page that has a slot as used in this turn, and says where it is.
     pub(crate) fn keep(&mut self, page: PageName) -> Option<u32> {
         let slot = *self.slot_of.get(&page)?;
         let holder = &mut self.holders[slot as usize];
-        if holder.used + 1 < self.turn {
-            holder.since = self.seconds;
-        }
         holder.used = self.turn;
         Some(slot)
     }
@@ -100,7 +89,7 @@ impl Slots {
     }
 
     fn holder(&self, page: PageName) -> Holder {
-        Holder { page, used: self.turn, since: self.seconds }
+        Holder { page, used: self.turn }
     }
 }
 
@@ -115,32 +104,14 @@ mod tests {
     #[test]
     fn the_least_recently_used_page_makes_room() {
         let mut slots = Slots::new(2);
-        slots.next_turn(0.0);
+        slots.next_turn();
         assert_eq!(slots.place(name(1)), Placed::New(0));
         assert_eq!(slots.place(name(2)), Placed::New(1));
         assert_eq!(slots.place(name(3)), Placed::Full);
-        slots.next_turn(0.0);
+        slots.next_turn();
         assert_eq!(slots.place(name(1)), Placed::Resident(0));
         assert_eq!(slots.place(name(3)), Placed::New(1));
         assert_eq!(slots.keep(name(2)), None);
         assert_eq!(slots.place(name(2)), Placed::Full);
-    }
-
-    #[test]
-    fn a_page_that_comes_back_comes_anew() {
-        let mut slots = Slots::new(2);
-        for (seconds, is_used, since) in [
-            (1.0, true, 1.0),
-            (2.0, true, 1.0),
-            (3.0, false, 1.0),
-            (4.0, true, 4.0),
-            (5.0, true, 4.0),
-        ] {
-            slots.next_turn(seconds);
-            if is_used {
-                slots.place(name(1));
-            }
-            assert_eq!(slots.since(0), since, "{seconds}");
-        }
     }
 }

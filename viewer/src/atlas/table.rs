@@ -13,6 +13,9 @@ use crate::map::Windows;
 /// Integers in the header of a window.
 const WINDOW_LEN: usize = 5;
 
+/// Integers of the whole table at most: 64 MB. What is beyond shows coarser pages.
+const MOST_LEN: u64 = 1 << 24;
+
 /// Entries of one level at most: pages beyond show their ancestors.
 const MOST_ENTRIES: u64 = 1 << 20;
 
@@ -35,19 +38,23 @@ pub(crate) struct Shown {
     pub(crate) presence: u8,
 }
 
-/// Writes the windows of one dataset. Where there is no page, `root` shows.
+/// Writes the windows of one dataset. Where there is no page, `roots` show.
 pub(crate) fn append(
     table: &mut Vec<i32>,
     pyramid: &Pyramid,
     shown: &[Shown],
-    root: Option<&Shown>,
+    roots: &[Shown],
 ) -> Windows {
     let entries: HashMap<PageKey, u32> =
         shown.iter().map(|shown| (PageKey::from(shown.page), entry(shown))).collect();
     let first_window = table.len();
     table.resize(first_window + WINDOW_LEN * (usize::from(pyramid.finest().0) + 1), 0);
     for level in pyramid.levels() {
-        let window = Window::about(pyramid, level, shown);
+        let mut window = Window::about(pyramid, level, shown);
+        let entries_here = u64::from(window.rows) * u64::from(window.cols);
+        if table.len() as u64 + entries_here > MOST_LEN {
+            window = Window::EMPTY;
+        }
         let header = first_window + WINDOW_LEN * usize::from(level.0);
         let start = table.len();
         let fields = [window.row, window.col, window.rows, window.cols].map(narrow);
@@ -70,9 +77,19 @@ pub(crate) fn append(
         }
     }
     let deepest = shown.iter().map(|shown| i32::from(shown.page.level.0)).max().unwrap_or(0);
-    let root = root.filter(|_| pyramid.pages(Level(0)) == Some((1, 1))).map_or(0, entry);
-    let first = i32::try_from(first_window).expect("a table is far smaller than 2^31");
-    Windows { first, deepest, root }
+    let place = |length: usize| i32::try_from(length).expect("a table is far smaller than 2^31");
+    let (rows, cols) = pyramid.pages(Level(0)).expect("every pyramid has a coarsest level");
+    let most = u64::from(rows) * u64::from(cols);
+    let has_roots = !roots.is_empty() && table.len() as u64 + most <= MOST_LEN;
+    let first_root = if has_roots { place(table.len()) } else { -1 };
+    if has_roots {
+        table.resize(table.len() + (rows * cols) as usize, 0);
+        for root in roots {
+            let at = (root.page.row * cols + root.page.col).cast_signed() + first_root;
+            table[at.unsigned_abs() as usize] = entry(root).cast_signed();
+        }
+    }
+    Windows { first: place(first_window), deepest, roots: first_root }
 }
 
 fn entry(shown: &Shown) -> u32 {
@@ -95,16 +112,16 @@ struct Window {
 }
 
 impl Window {
+    const EMPTY: Self = Self { row: 0, col: 0, rows: 0, cols: 0 };
+
     /// The least window that holds the pages of `level`, or an empty one.
     fn about(pyramid: &Pyramid, level: Level, shown: &[Shown]) -> Self {
-        const EMPTY: Window = Window { row: 0, col: 0, rows: 0, cols: 0 };
-
         let (_, level_cols) = pyramid.pages(level).expect("the level is the pyramid's");
         let pages = || shown.iter().map(|shown| shown.page).filter(|page| page.level == level);
         let (Some(row), Some(last)) =
             (pages().map(|page| page.row).min(), pages().map(|page| page.row).max())
         else {
-            return EMPTY;
+            return Self::EMPTY;
         };
         let mut occupied: Vec<u32> = pages().map(|page| page.col).collect();
         occupied.sort_unstable();
@@ -122,7 +139,7 @@ impl Window {
         }
         let rows = last - row + 1;
         if u64::from(rows) * u64::from(cols) > MOST_ENTRIES {
-            return EMPTY;
+            return Self::EMPTY;
         }
         Self { row, col, rows, cols }
     }
@@ -195,7 +212,7 @@ mod tests {
                 .map(|(slot, &page)| Shown { page, slot, whole: slot % 2 == 0, presence: 7 })
                 .collect();
             let mut table = vec![7; 3];
-            let first = append(&mut table, &pyramid, &shown, None).first.unsigned_abs() as usize;
+            let first = append(&mut table, &pyramid, &shown, &[]).first.unsigned_abs() as usize;
 
             let asked = place(level, row, col);
             let mut ancestor = Some(asked);

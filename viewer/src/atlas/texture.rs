@@ -71,14 +71,9 @@ impl Atlas {
         self.textures.iter().map(|texture| texture.create_view(&descriptor)).collect()
     }
 
-    /// Starts a turn, at a time.
-    pub(crate) fn next_turn(&mut self, seconds: f64) {
-        self.slots.next_turn(seconds);
-    }
-
-    /// When the page in a slot came into use.
-    pub(crate) fn since(&self, slot: u32) -> f64 {
-        self.slots.since(slot)
+    /// Starts a turn.
+    pub(crate) fn next_turn(&mut self) {
+        self.slots.next_turn();
     }
 
     /// Marks a page as used and says where it is, if it is.

@@ -172,6 +172,8 @@ pub(crate) struct Criterion {
     /// Inward normals through the eye.
     planes: [DVec3; 5],
     pixel_angle: f64,
+    /// How many times as coarse as the view asks for everything may be.
+    coarseness: f64,
     spacing_px: f64,
     widest_px: f64,
     range_m: (f64, f64),
@@ -180,7 +182,13 @@ pub(crate) struct Criterion {
 }
 
 impl Criterion {
-    pub(crate) fn new(view: &View, ellipsoid: Ellipsoid, detail: &mut Detail) -> Self {
+    /// Of a mesh whose vertices are `coarseness` times as far apart as the view asks for.
+    pub(crate) fn new(
+        view: &View,
+        ellipsoid: Ellipsoid,
+        detail: &mut Detail,
+        coarseness: f64,
+    ) -> Self {
         detail.about.clear();
         let [right, up, backward] =
             [view.orientation.x_axis, view.orientation.y_axis, view.orientation.z_axis];
@@ -211,6 +219,7 @@ impl Criterion {
             eye: view.eye,
             planes,
             pixel_angle,
+            coarseness,
             spacing_px: (SPACING_PX * view.tolerance_px.max(0.1)).min(widest_px),
             widest_px,
             range_m: detail.range_m,
@@ -260,10 +269,11 @@ impl Criterion {
             .max(spacing_px * side * side / BENT_PX);
         let may = spacing_px / self.spacing_px;
         if may <= must {
-            return (Verdict::Coarse(must), note);
+            return (Verdict::Coarse(must / self.coarseness), note);
         }
         let texels = spacing_m / detail.finest_texel_m(note);
-        (Verdict::Coarse(must.max(may.min(texels / SPACING_TEXELS))), note)
+        let wanted = must.max(may.min(texels / SPACING_TEXELS));
+        (Verdict::Coarse(wanted / self.coarseness), note)
     }
 
     /// `ARCHITECTURE.md`: n·p below the limit for all points of the volume.

@@ -17,6 +17,13 @@ use crate::surface::Surface;
 
 const NONE: u32 = u32::MAX;
 
+/// Bytes of a composed point: a position and a texel's size.
+pub(crate) const POINT_BYTES: u64 = 16;
+
+/// How many times as far apart as asked for vertices get where there is no room for more: with
+/// thousands of datasets over one another.
+const COARSEST: f64 = 64.0;
+
 /// Slopes are taken from places so far outside a patch, as a chord, besides its own size.
 const SLOPE_REACH: f64 = 0.01;
 
@@ -37,7 +44,8 @@ pub(crate) struct Mesh {
 }
 
 impl Mesh {
-    /// Makes the patches of `view`.
+    /// Makes the patches of `view`: fewer than it asks for, where a list for the shaders would have more
+    /// than `most_bytes`. Anchors for which there is no room then are left out.
     pub(crate) fn build(
         &mut self,
         view: &View,
@@ -45,8 +53,28 @@ impl Mesh {
         surface: &Surface,
         detail: &mut Detail,
         maps: &Maps,
+        most_bytes: u64,
     ) {
-        let criterion = Criterion::new(view, ellipsoid, detail);
+        let mut coarseness = 1.0;
+        loop {
+            self.split(view, ellipsoid, surface, detail, coarseness);
+            let fits = self.anchor(view, maps, most_bytes) && self.largest_bytes() <= most_bytes;
+            if fits || coarseness >= COARSEST {
+                return;
+            }
+            coarseness *= 2.0;
+        }
+    }
+
+    fn split(
+        &mut self,
+        view: &View,
+        ellipsoid: Ellipsoid,
+        surface: &Surface,
+        detail: &mut Detail,
+        coarseness: f64,
+    ) {
+        let criterion = Criterion::new(view, ellipsoid, detail, coarseness);
         let mut tree = std::mem::take(&mut self.tree);
         tree.build(|asked| criterion.verdict(detail, surface, asked));
 
@@ -64,13 +92,20 @@ impl Mesh {
             self.patches.push(patch);
         }
         self.tree = tree;
+    }
 
+    /// Makes the anchors of all frames; whether there was room for them.
+    fn anchor(&mut self, view: &View, maps: &Maps, most_bytes: u64) -> bool {
+        let most = usize::try_from(most_bytes).unwrap_or(usize::MAX) / size_of::<mirror::Anchor>();
         self.mirrored_frames.clear();
         self.anchors.clear();
         for frame in &self.frames {
             let mut lists = [count(self.anchors.len()); 5];
             for plane in Plane::ALL {
                 for (dataset, map) in maps.of_plane(plane) {
+                    if self.anchors.len() >= most {
+                        break;
+                    }
                     let reach = frame.reach + SLOPE_REACH;
                     self.anchors.extend(map.anchor(dataset, &frame.axes, reach));
                 }
@@ -78,6 +113,18 @@ impl Mesh {
             }
             self.mirrored_frames.push(mirror::Frame { lists, ..frame.seen_from(view.eye) });
         }
+        self.anchors.len() < most
+    }
+
+    /// Of the lists for the shaders.
+    fn largest_bytes(&self) -> u64 {
+        let bytes = [
+            size_of_val(self.mirrored_frames.as_slice()),
+            size_of_val(self.edges.as_slice()),
+            size_of_val(self.patches.as_slice()),
+        ];
+        let points = self.points() as u64 * POINT_BYTES;
+        bytes.iter().fold(points, |most, &bytes| most.max(bytes as u64))
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "chords relative to their middles, shares")]

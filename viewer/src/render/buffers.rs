@@ -29,7 +29,8 @@ impl Growing {
     pub(crate) fn reserve(&mut self, gpu: &Gpu, bytes: u64) -> bool {
         let grows = bytes > self.buffer.size();
         if grows {
-            self.buffer = create(gpu, self.label, bytes.next_power_of_two());
+            self.buffer =
+                create(gpu, self.label, bytes.next_power_of_two().min(most_bytes(gpu)).max(bytes));
         }
         grows
     }
@@ -37,6 +38,12 @@ impl Growing {
     pub(crate) fn binding(&self) -> wgpu::BindingResource<'_> {
         self.buffer.as_entire_binding()
     }
+}
+
+/// Bytes of a buffer at most.
+pub(crate) fn most_bytes(gpu: &Gpu) -> u64 {
+    let limits = gpu.device.limits();
+    limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
 }
 
 fn create(gpu: &Gpu, label: &str, size: u64) -> wgpu::Buffer {

@@ -20,10 +20,12 @@ pub(crate) struct Trace {
     /// Which of the atlases it lies in.
     pub(crate) atlas: usize,
     pub(crate) shown: Shown,
+    /// When it began to show, in seconds.
+    pub(crate) since: f64,
 }
 
 /// Adds to what a picture shows, `traces`, what lingers of the picture before. `find` says where a page
-/// is now, if it still is, and how far it shows by its own age; traces stand beside the places of their
+/// is now, if it still is, and how far it shows by its age; traces stand beside the places of their
 /// datasets.
 pub(crate) fn add(
     traces: &mut Vec<(usize, Trace)>,

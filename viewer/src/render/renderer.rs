@@ -14,7 +14,7 @@ use bytemuck::Zeroable;
 use glam::DVec3;
 
 use super::aovs::Aovs;
-use super::buffers::Growing;
+use super::buffers::{Growing, most_bytes};
 use super::options::{FrameStatistics, Image, Light, Options};
 use super::pattern::Pattern;
 use super::pipelines::Pipelines;
@@ -24,7 +24,7 @@ use crate::atmosphere::Air;
 use crate::camera::pixel_angle;
 use crate::gpu::Gpu;
 use crate::mesh::detail::{Detail, SEGMENTS};
-use crate::mesh::patches::Mesh;
+use crate::mesh::patches::{Mesh, POINT_BYTES};
 use crate::mirror;
 use crate::pick::{Picked, pick};
 use crate::style::{Ramp, Style};
@@ -32,9 +32,6 @@ use crate::surface::{BARE_COLOR, Surface};
 
 /// Meters to the near plane where terrain may be about the eye.
 const NEAR_M: f64 = 0.05;
-
-/// Bytes of a point: a position and a texel's size.
-const POINT_LEN: u64 = 16;
 
 /// Workgroups along one axis of a dispatch at most.
 const MOST_WORKGROUPS: u32 = 65_535;
@@ -152,7 +149,8 @@ impl Renderer {
         }
         self.shown = shown;
         let maps = &self.resident.maps;
-        self.mesh.build(view, self.ellipsoid, &self.surface, &mut self.detail, maps);
+        let most_bytes = most_bytes(&self.gpu);
+        self.mesh.build(view, self.ellipsoid, &self.surface, &mut self.detail, maps, most_bytes);
         self.write_scene(view, light, options);
         self.draw(view);
         self.drawn = Some(*view);
@@ -311,7 +309,7 @@ impl Renderer {
             let layout = &self.pipelines.scene_layout;
             self.scene_group = Some(bind(gpu, "scene", layout, bindings));
         }
-        let point_bytes = self.mesh.points() as u64 * POINT_LEN;
+        let point_bytes = self.mesh.points() as u64 * POINT_BYTES;
         if self.storages.points.reserve(gpu, point_bytes) || self.point_groups.is_none() {
             let layouts = [&self.pipelines.points_layout, &self.pipelines.vertices_layout];
             self.point_groups = Some(

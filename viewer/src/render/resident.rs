@@ -1,5 +1,7 @@
 //! The pages of a selection brought to the GPU, and the table that finds them.
 
+use std::collections::HashMap;
+
 use areoid_cache::{Datasets, ResidentPage, Selection};
 use areoid_formats::address::PageKey;
 use areoid_formats::archive::Payload;
@@ -55,7 +57,7 @@ pub(crate) struct Resident {
     /// By place in `datasets`; none for those that do not take part.
     shown: Vec<Option<Vec<Shown>>>,
     /// By place in `datasets`: what shows where `shown` has nothing.
-    roots: Vec<Option<Shown>>,
+    roots: Vec<Vec<Shown>>,
     /// What the picture before showed.
     before: Vec<Trace>,
 }
@@ -116,11 +118,11 @@ impl Resident {
     ) -> Brought {
         self.follow_datasets(gpu, selection, style);
         for atlas in &mut self.atlases {
-            atlas.next_turn(clock.seconds);
+            atlas.next_turn();
         }
         self.shown.iter_mut().flatten().for_each(Vec::clear);
-        self.roots.clear();
-        self.roots.resize(self.shown.len(), None);
+        self.roots.iter_mut().for_each(Vec::clear);
+        self.roots.resize_with(self.shown.len(), Vec::new);
 
         let mut brought = Brought::default();
         let mut left_bytes = limit_bytes;
@@ -128,34 +130,33 @@ impl Resident {
         for page in selection.roots.iter().chain(&selection.pages) {
             self.atlases[atlas_of(selection, page)].keep(name_of(page));
         }
+        let before = std::mem::take(&mut self.before);
+        let ages: HashMap<PageName, f64> =
+            before.iter().map(|trace| (trace.name, trace.since)).collect();
         let mut traces = Vec::with_capacity(selection.pages.len());
         for page in &selection.roots {
             // They show where there is no room for others, and are few.
             let mut unlimited = u64::MAX;
             let trace = self.place(gpu, selection, page, &mut unlimited, &mut brought);
             if let Some((place, trace)) = trace {
-                self.roots[place] = Some(trace.shown);
+                self.roots[place].push(trace.shown);
             }
         }
         for page in &selection.pages {
             let trace = self.place(gpu, selection, page, &mut left_bytes, &mut brought);
             let Some((place, mut trace)) = trace else { continue };
-            trace.shown.presence =
-                clock.presence(self.atlases[trace.atlas].since(trace.shown.slot));
+            trace.since = ages.get(&trace.name).copied().unwrap_or(clock.seconds);
+            trace.shown.presence = clock.presence(trace.since);
             brought.coming += usize::from(trace.shown.presence < PRESENT);
             traces.push((place, trace));
         }
         if brought.coming > 0 {
-            let before = std::mem::take(&mut self.before);
             linger::add(&mut traces, &before, |trace| {
                 let place = selection.datasets.place(trace.name.dataset)?;
                 self.shown[place].as_ref()?;
                 let atlas = &mut self.atlases[trace.atlas];
                 let slot = atlas.keep(trace.name)?;
-                Some((
-                    place,
-                    Shown { slot, presence: clock.presence(atlas.since(slot)), ..trace.shown },
-                ))
+                Some((place, Shown { slot, presence: clock.presence(trace.since), ..trace.shown }))
             });
         }
         for (place, trace) in &traces {
@@ -202,7 +203,7 @@ impl Resident {
         }
         let whole = page.page.coverage().is_none();
         let shown = Shown { page: page.entry.page, slot, whole, presence: PRESENT };
-        Some((place, Trace { name, atlas, shown }))
+        Some((place, Trace { name, atlas, shown, since: 0.0 }))
     }
 
     /// Sorts the datasets and fits the atlases to their pages.
@@ -243,8 +244,7 @@ impl Resident {
         for ((dataset, part), map) in self.order.iter().zip(self.maps.iter()) {
             let shown = self.shown[*dataset].as_deref().unwrap_or_default();
             let pyramid = infos[*dataset].grid.pyramid();
-            let root = self.roots[*dataset].as_ref();
-            let windows = table::append(&mut self.table, pyramid, shown, root);
+            let windows = table::append(&mut self.table, pyramid, shown, &self.roots[*dataset]);
             self.mirrored.push(map.mirrored(&windows, part));
         }
         self.slot_bounds = count(self.table.len());

@@ -44,8 +44,9 @@ struct Dataset {
     weight: f32,
     // Equal for states of one thing, or 0.
     series: u32,
-    // The page table's entry of the coarsest page, for places of which it knows no other; or 0.
-    root: u32,
+    // Where the page table has the entries of the coarsest level, for places of which it knows no other;
+    // or below 0.
+    roots: i32,
     // The finest level that the page table knows pages of.
     deepest: i32,
     // 1 where the top edge is the north pole, and 2 where the bottom edge is the south pole.

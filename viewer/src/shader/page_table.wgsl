@@ -13,7 +13,8 @@
 // An entry names the finest page in memory that covers its place and is not finer than its level:
 // the page itself, or an ancestor. Outside a level's window the coarser levels are asked, and where
 // none of them has a page, the finer ones: a view may need fine pages for their error alone, and
-// show them from so far that coarser ones would do.
+// show them from so far that coarser ones would do. Where there is none at all, the coarsest level's
+// pages show, which have a list of their own.
 //
 // shown: 63 where the page shows wholly; less, where the coarser one before it still does.
 //
@@ -89,8 +90,10 @@ fn find_page(dataset: Dataset, point: MapPoint, level: i32) -> Found {
             entry = u32(table[place]);
         }
     }
-    if (entry & HOLDS) == 0u {
-        entry = dataset.root;
+    if (entry & HOLDS) == 0u && dataset.roots >= 0 {
+        let width = level_size(dataset.size.x, u32(dataset.levels - 1));
+        let page = page_of(dataset, point, 0);
+        entry = u32(table[dataset.roots + page.y * ((width + dataset.interior - 1) / dataset.interior) + page.x]);
     }
     if (entry & HOLDS) == 0u {
         return Found(0u, vec2i(0), vec2f(0.0));

@@ -59,7 +59,7 @@ impl Dolly {
 /// Which patches a view has: the normals of their middles, and how their sides are made.
 fn patches(mesh: &mut Mesh, detail: &mut Detail, dolly: &Dolly, share: f64) -> Names {
     let world = dolly.world;
-    mesh.build(&dolly.view(share), world.body, &world.truth, detail, &Maps::default());
+    mesh.build(&dolly.view(share), world.body, &world.truth, detail, &Maps::default(), u64::MAX);
     let named = mesh.patches.iter().map(|patch| {
         let middle = mesh.frames[patch.frame as usize].axes.z_axis;
         (middle.to_array().map(f64::to_bits), patch.sides)

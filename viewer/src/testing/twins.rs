@@ -237,7 +237,7 @@ fn shaders_and_rust_agree_on_structures() {
         asymmetry, eye_up, eye_height, radius, top);
     assert_mirrored!(Frame: origin, height, east, north, up, lists);
     assert_mirrored!(Dataset: size, interior, levels, first_window, priority, polar, wraps, period,
-        latitude_ratio, hemisphere, eccentricity, ground, weight, series, root, deepest, poles);
+        latitude_ratio, hemisphere, eccentricity, ground, weight, series, roots, deepest, poles);
     assert_mirrored!(Anchor: texel, fraction, matrix, dataset);
     assert_mirrored!(Edge: frames, half_chord, direction, distance, come);
     assert_mirrored!(Patch: corner_a, frame, corner_b, sides, corner_c, distance, edges, come);

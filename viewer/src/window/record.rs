@@ -1,7 +1,7 @@
 //! Poses as keys of a flight, for recording.
 
 use areoid_cache::camera::{Pose, local_axes};
-use areoid_cache::flight::Key;
+use areoid_cache::flight::{Flight, Key};
 use areoid_formats::body::Ellipsoid;
 use areoid_formats::units::Degrees;
 
@@ -21,7 +21,7 @@ pub(super) fn key_of(pose: &Pose, ellipsoid: &Ellipsoid, seconds: f64) -> Key {
         [place.longitude, place.latitude].map(|angle| Degrees::from(angle).0);
     Key {
         seconds,
-        eye: [longitude, latitude, altitude.0.max(0.0)],
+        eye: [longitude, latitude, altitude.0.max(Flight::LOWEST_M)],
         look: [degrees(heading), degrees(pitch)],
     }
 }
@@ -29,13 +29,12 @@ pub(super) fn key_of(pose: &Pose, ellipsoid: &Ellipsoid, seconds: f64) -> Key {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use areoid_cache::flight::Flight;
     use proptest::prelude::*;
 
     proptest! {
         #[test]
         fn a_key_is_the_pose_that_it_was_taken_of(
-            longitude in -180.0..180.0_f64, latitude in -89.9..89.9_f64, altitude in 1.0..1e7_f64,
+            longitude in -180.0..180.0_f64, latitude in -89.9..89.9_f64, altitude in -7e3..1e7_f64,
             heading in -180.0..180.0_f64, pitch in -90.0..=0.0_f64,
         ) {
             let body = Ellipsoid::WGS84;

@@ -1,0 +1,136 @@
+//! What shows while pages come, and where there is no room for all of them.
+
+use std::sync::Arc;
+
+use areoid_cache::{Selection, View};
+use areoid_formats::address::Level;
+use areoid_formats::page::Kind;
+use areoid_formats::units::{Degrees, Meters, Radians};
+use glam::DVec3;
+
+use super::gpu;
+use super::worlds::{World, at, split_mars};
+use crate::camera::Pose;
+use crate::mesh::detail::Detail;
+use crate::mesh::patches::Mesh;
+use crate::style::Style;
+use crate::surface::Surface;
+use crate::{FrameStatistics, Image, Light, Options, Renderer};
+
+const LIGHT: Light = Light { toward_sun: DVec3::new(1.0, 0.5, 0.3), ambient: 0.1 };
+const SIDE: u32 = 128;
+
+fn view(tolerance_px: f64) -> View {
+    let (pitch, fov) = (Degrees(-60.0).into(), Degrees(50.0).into());
+    let pose = Pose::from_eye(&split_mars().body, at(60.0, 20.0), Meters(5e5), Radians(0.3), pitch);
+    pose.view(fov, [SIDE; 2], tolerance_px)
+}
+
+/// What `world` has for the view at a tolerance, as of a session with generations of its own.
+fn selected(world: &World, tolerance_px: f64, generation: u64) -> Selection {
+    let selection = world.selection(&view(tolerance_px));
+    Selection {
+        generation,
+        datasets: world.whole.datasets.clone(),
+        pages: selection.pages.clone(),
+        roots: selection.roots.clone(),
+        failed: Vec::new(),
+        ..*selection
+    }
+}
+
+fn difference(one: &Image, other: &Image) -> f64 {
+    let codes = one.rgba.iter().zip(&other.rgba);
+    codes.map(|(a, b)| f64::from(a.abs_diff(*b))).sum()
+}
+
+/// Of what a search wants no page covers another: without what was there before, nothing could be
+/// beneath a page that fades in.
+#[test]
+fn pages_give_way_to_others_bit_by_bit() {
+    let world = split_mars();
+    let (coarse, fine) = (selected(world, 6.0, 1), selected(world, 0.4, 2));
+    for [from, to] in [[&coarse, &fine], [&fine, &coarse]] {
+        let mut renderer = Renderer::new(gpu(), world.body);
+        let mut draw = |selection: &Selection, seconds: f64| -> (Image, FrameStatistics) {
+            let options = Options { seconds, fade_seconds: 1.0, ..Options::default() };
+            let statistics = renderer.render(&view(1.0), selection, &LIGHT, &options);
+            (renderer.read_color(), statistics)
+        };
+        draw(from, 0.0);
+        let (before, _) = draw(from, 1.5);
+        let (arrived, _) = draw(to, 2.0);
+        let (halfway, _) = draw(to, 2.5);
+        let (after, done) = draw(to, 3.5);
+        assert_eq!(done.coming_pages, 0);
+        let whole = difference(&before, &after);
+        let shares = [arrived, halfway].map(|image| difference(&before, &image) / whole);
+        println!("{whole} codes, of that {shares:.3?} at once and halfway");
+        assert!(whole > 3_000.0, "{whole}");
+        assert!(shares[0] < 0.1 && shares[1] > 0.3 && shares[1] < 0.8, "{shares:?}");
+    }
+}
+
+/// With no time for uploads the roots show, and not bare ground.
+#[test]
+fn roots_stand_in_for_pages_that_are_put_off() {
+    let world = split_mars();
+    let mut selection = selected(world, 0.4, 1);
+    selection.roots = world
+        .whole
+        .pages
+        .iter()
+        .filter(|page| page.entry.page.level == Level(0))
+        .map(Arc::clone)
+        .collect();
+    selection.pages.retain(|page| page.entry.page.level > Level(0));
+    let mut renderer = Renderer::new(gpu(), world.body);
+    let options = Options { upload_limit_bytes: 0, ..Options::default() };
+    let drawn = renderer.render(&view(1.0), &selection, &LIGHT, &options);
+    assert!(drawn.pending_pages > 3 && drawn.left_out_pages == 0, "{drawn:?}");
+    assert_eq!(drawn.uploaded_pages, selection.roots.len());
+    let aovs = renderer.read_aovs();
+    let surface = Surface::new(&Selection {
+        pages: selection.roots.clone(),
+        roots: Vec::new(),
+        datasets: selection.datasets.clone(),
+        failed: Vec::new(),
+        ..selection
+    });
+    let mut shown = 0;
+    for (place, height_m) in aovs.geographic.iter().zip(&aovs.height_m) {
+        if place[0].is_finite() {
+            let expected = surface.compose(Kind::Height, at(place[0], place[1]), 0.0).unwrap();
+            assert!(
+                (f64::from(*height_m) - expected.value[0]).abs() < 0.5,
+                "{height_m} {expected:?}"
+            );
+            shown += 1;
+        }
+    }
+    assert!(shown > 10_000, "{shown}");
+}
+
+/// Where lists would be too long for a device the mesh is coarser; whatever the limit, there are no more
+/// anchors than it allows.
+#[test]
+fn a_mesh_keeps_within_what_a_device_binds() {
+    let world = split_mars();
+    let selection = selected(world, 0.4, 1);
+    let surface = Surface::new(&selection);
+    let mut detail = Detail::default();
+    detail.renew(&surface, 1.0);
+    let part =
+        |info: &areoid_cache::DatasetInfo| Style::default().part("", info.kind, info.priority);
+    let heights = selection.datasets.iter().filter(|(_, info)| info.kind == Kind::Height);
+    let maps = crate::map::Maps::new(heights.map(|(_, info)| (info, part(info))));
+    let mut mesh = Mesh::default();
+    let counts = [u64::MAX, 150_000, 1_000].map(|most_bytes| {
+        let view = View { viewport: [1600; 2], ..view(0.5) };
+        mesh.build(&view, world.body, &surface, &mut detail, &maps, most_bytes);
+        assert!(size_of_val(mesh.anchors.as_slice()) as u64 <= most_bytes);
+        assert_eq!(mesh.mirrored_frames.len(), mesh.frames.len());
+        mesh.patches.len()
+    });
+    assert!(counts[0] > counts[1] && counts[1] >= counts[2] && counts[2] > 0, "{counts:?}");
+}
