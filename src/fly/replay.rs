@@ -88,7 +88,7 @@ impl Replay<'_> {
             let (at, _) = ellipsoid.geographic_from_cartesian(pose.eye);
             let over = [at.longitude, at.latitude].map(|angle| angle.0.to_degrees());
             let light = self.shot.light(&ellipsoid, over)?;
-            let options = self.at(&options, start, seconds);
+            let options = self.at(&options, start);
 
             let (view, begin) = (self.shot.view(pose), Instant::now());
             let selection = self.select(&mut session, &view);
@@ -151,13 +151,13 @@ impl Replay<'_> {
     }
 
     /// Options for a frame that is drawn now.
-    fn at(&self, options: &Options, start: Instant, seconds: f64) -> Options {
-        let Options { fade_seconds, upload_limit_bytes, .. } = Options::interactive();
-        // A film has all pages at once, and its own time.
-        let (seconds, upload_limit_bytes) = match self.pace {
-            Pace::Complete => (seconds, u64::MAX),
-            Pace::Real | Pace::Fast => (start.elapsed().as_secs_f64(), upload_limit_bytes),
+    fn at(&self, options: &Options, start: Instant) -> Options {
+        let paced = match self.pace {
+            Pace::Complete => Options::default(),
+            Pace::Real | Pace::Fast => Options::interactive(),
         };
+        let seconds = start.elapsed().as_secs_f64();
+        let (fade_seconds, upload_limit_bytes) = (paced.fade_seconds, paced.upload_limit_bytes);
         Options { seconds, fade_seconds, upload_limit_bytes, ..options.clone() }
     }
 }
