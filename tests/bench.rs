@@ -212,10 +212,23 @@ fn a_tiny_book_of_the_viewer_is_complete() {
     assert_eq!((overlaps.len(), array(cost, "/poles").len()), (4, 6));
     assert_eq!(overlaps[0]["ratio"]["median"], 1.0);
     assert!(overlaps[3]["wanted"].as_u64().unwrap() == 8 * overlaps[0]["wanted"].as_u64().unwrap());
+    let skipping = array(&report, "/chapters/skipping");
+    assert_eq!(skipping.len(), 10);
+    for view in skipping {
+        let of = |key: &str| view[key].as_u64().unwrap_or_else(|| panic!("{key} in {view}"));
+        for (all, seen) in
+            [("pages", "pages_seen"), ("patches", "patches_seen"), ("bytes_uploaded", "bytes_seen")]
+        {
+            assert!(of(seen) > 0 && of(seen) <= of(all), "{view}");
+        }
+        assert!(of("pixels") > 100 && of("points") > 100, "{view}");
+        assert_eq!((of("again_bytes"), &view["again_drawn"]), (0, &Value::Bool(false)), "{view}");
+    }
     let targets = array(&report, "/targets");
-    assert_eq!(targets.len(), 3);
+    assert_eq!(targets.len(), 5);
     for target in targets {
-        assert!(target["measured"].as_f64().unwrap() > 0.0, "{target}");
+        let is_rest = target["what"].as_str().unwrap().ends_with("at rest");
+        assert_eq!(target["measured"].as_f64().unwrap() == 0.0, is_rest, "{target}");
         assert!(tables.contains(target["what"].as_str().unwrap()), "{target}");
     }
     assert!(!folder.path().join("work").exists(), "nothing but results and rasters stays");

@@ -54,5 +54,5 @@ mod testing;
 pub use atmosphere::Atmosphere;
 pub use gpu::{Gpu, GpuError};
 pub use pick::Picked;
-pub use render::{Aovs, Debug, FrameStatistics, Image, Light, Options, Relief, Renderer};
+pub use render::{Aovs, Debug, FrameStatistics, Image, Light, Options, Relief, Renderer, Usage};
 pub use style::Style;

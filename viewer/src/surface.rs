@@ -5,7 +5,7 @@
 //! [`areoid_formats::compose`]. The renderer takes the heights of patch corners from here, and the
 //! tests the whole picture.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use areoid_cache::{Datasets, ResidentPage, Selection};
@@ -133,11 +133,7 @@ impl Surface {
         let mut levels = Vec::with_capacity(self.present.len());
         for &(dataset, part) in self.present.iter().filter(|(_, part)| part.plane == plane) {
             let info = &self.datasets[dataset];
-            let (largest, _) = info.grid.crs().principal_scales(position, info.grid.pixel_size());
-            let finest = f64::from(info.grid.pyramid().finest().0);
-            let halvings = (footprint_m / largest).log2().max(0.0);
-            let is_height = plane == Plane::Heights;
-            let wanted = if is_height { finest } else { (finest - halvings).max(0.0) };
+            let wanted = self.wanted(dataset, plane, position, footprint_m);
             let Some((found, bound, level)) = self.blend(dataset, position, wanted) else {
                 continue;
             };
@@ -164,6 +160,51 @@ impl Surface {
         Some(SurfacePoint { value, bound, level, dataset, opacity })
     }
 
+    /// The level that a dataset is asked for at a footprint, fractional.
+    fn wanted(&self, dataset: usize, plane: Plane, position: Geographic, footprint_m: f64) -> f64 {
+        let grid = &self.datasets[dataset].grid;
+        let finest = f64::from(grid.pyramid().finest().0);
+        if plane == Plane::Heights {
+            return finest;
+        }
+        let (largest, _) = grid.crs().principal_scales(position, grid.pixel_size());
+        (finest - (footprint_m / largest).log2().max(0.0)).max(0.0)
+    }
+
+    /// Adds the pages from which the values of a place are made.
+    pub(crate) fn read_at(
+        &self,
+        position: Geographic,
+        footprint_m: f64,
+        read: &mut HashSet<(usize, PageAddress)>,
+    ) {
+        for plane in Plane::ALL {
+            let mut parts: Vec<_> =
+                self.present.iter().filter(|(_, part)| part.plane == plane).collect();
+            parts.sort_by_key(|(_, part)| std::cmp::Reverse(part.priority));
+            let mut clear = 1.0;
+            for same in parts.chunk_by(|(_, one), (_, other)| one.priority == other.priority) {
+                if clear <= 0.0 {
+                    break;
+                }
+                for &&(dataset, part) in same {
+                    let wanted = self.wanted(dataset, plane, position, footprint_m);
+                    let grid = &self.datasets[dataset].grid;
+                    let Some(place) = grid.locate(grid.pyramid().finest(), position) else {
+                        continue;
+                    };
+                    let [coarse, fine] = [wanted.floor(), wanted.ceil()]
+                        .map(|level| self.sample(dataset, place, level_of(level)));
+                    for (_, page) in coarse.iter().chain(&fine) {
+                        read.insert((dataset, page.entry.page));
+                    }
+                    let coverage = fine.map_or(0.0, |(found, _)| found.coverage * part.weight);
+                    clear *= 1.0 - coverage.clamp(0.0, 1.0);
+                }
+            }
+        }
+    }
+
     /// The blend of the two levels about `wanted`, with its bound and the level it comes from.
     fn blend(
         &self,
@@ -174,21 +215,16 @@ impl Surface {
         let grid = &self.datasets[dataset].grid;
         let finest = grid.pyramid().finest();
         let place = grid.locate(finest, position)?;
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "a level of the grid, between 0 and 32"
-        )]
-        let upper = wanted.ceil() as u8;
-        let fine = self.sample(dataset, place, Level(upper));
-        let toward_coarse = f64::from(upper) - wanted;
+        let upper = level_of(wanted.ceil());
+        let fine = self.sample(dataset, place, upper);
+        let toward_coarse = f64::from(upper.0) - wanted;
         if toward_coarse == 0.0 {
             return fine.map(|(found, page)| {
                 let level = f64::from(page.entry.page.level.0);
                 (found, f64::from(page.entry.bound), level)
             });
         }
-        let coarse = self.sample(dataset, place, Level(upper - 1));
+        let coarse = self.sample(dataset, place, Level(upper.0 - 1));
         let level_of = |page: &ResidentPage| wanted.min(f64::from(page.entry.page.level.0));
         match (fine, coarse) {
             (Some((mut found, page)), Some((other, other_page))) => {
@@ -267,4 +303,13 @@ impl Surface {
             (low.min(f64::from(page.entry.lowest)), high.max(f64::from(page.entry.highest)))
         })
     }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a level of a grid, between 0 and 32"
+)]
+fn level_of(level: f64) -> Level {
+    Level(level as u8)
 }

@@ -18,11 +18,12 @@ use crate::bench::report::{Chapter, Relation, Spread, Table, Target};
 use crate::failure::Failure;
 
 /// Far less than all pages, so that every leap loads some.
-const BUDGET: usize = 24 << 20;
+const BUDGET: usize = 32 << 20;
 
 /// How often the other view leaps at most, and how fine it is.
 const LEAP_EVERY: Duration = Duration::from_millis(50);
 const LEAP_TOLERANCE_PX: f64 = 0.25;
+const LEAP_FROM_M: f64 = 1e5;
 
 /// Times that loads begin and end.
 const BLOCKS: u32 = 5;
@@ -123,7 +124,7 @@ fn leap(mut session: Session, ellipsoid: &Ellipsoid, loading: &AtomicBool, done:
         let latitude = 60.0 * (2.4 * number).sin();
         let place = Geographic::from_degrees(Degrees(longitude), Degrees(latitude));
         let (heading, pitch) = (Degrees(0.0).into(), Degrees(-90.0).into());
-        let pose = Pose::from_eye(ellipsoid, place, Meters(4e5), heading, pitch);
+        let pose = Pose::from_eye(ellipsoid, place, Meters(LEAP_FROM_M), heading, pitch);
         let begin = Instant::now();
         drop(session.settle(&pose.view(Degrees(45.0).into(), [640, 360], LEAP_TOLERANCE_PX)));
         thread::sleep(LEAP_EVERY.saturating_sub(begin.elapsed()));

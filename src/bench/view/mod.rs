@@ -2,12 +2,13 @@
 //!
 //! ```text
 //!   world (ingested terrain) ─┬─▶ flights  known flights, beside their authors' figures
-//!                             └─▶ stage ─▶ cost, loads   what a frame costs, as ratios
+//!                             └─▶ stage ─▶ cost, loads, skipping   what a frame costs
 //! ```
 
 mod cost;
 mod flights;
 mod loads;
+mod skipping;
 mod stage;
 mod world;
 
@@ -80,6 +81,8 @@ enum ChapterArg {
     Cost,
     /// A frame while pages are loaded over one while none is.
     Loads,
+    /// What a picture is made of, beside what of it shows.
+    Skipping,
 }
 
 /// What all chapters measure with.
@@ -109,7 +112,7 @@ impl Args {
             pace: self.pace,
             rounds: self.rounds,
         };
-        let all = [ChapterArg::Flights, ChapterArg::Cost, ChapterArg::Loads];
+        let all = [ChapterArg::Flights, ChapterArg::Cost, ChapterArg::Loads, ChapterArg::Skipping];
         let wanted = if self.chapter.is_empty() { &all[..] } else { &self.chapter };
         let mut chapters: Vec<Chapter> = Vec::new();
         for chapter in wanted {
@@ -118,6 +121,7 @@ impl Args {
                 ChapterArg::Flights => flights::measure(&setting)?,
                 ChapterArg::Cost => cost::measure(&setting)?,
                 ChapterArg::Loads => loads::measure(&setting)?,
+                ChapterArg::Skipping => skipping::measure(&setting)?,
             });
         }
         timing::remove(&self.output.join("work"))?;

@@ -7,7 +7,7 @@ use areoid_formats::geodesy::{Geographic, surface_normal};
 use areoid_formats::units::{Degrees, Meters};
 use areoid_viewer::camera::Pose;
 use areoid_viewer::yardstick::Yardstick;
-use areoid_viewer::{Gpu, Light, Options, Renderer};
+use areoid_viewer::{Gpu, Light, Options, Renderer, Usage};
 
 use crate::bench::cache::clock;
 
@@ -23,7 +23,7 @@ pub(super) struct Spot {
 pub(super) const OVER: Spot = Spot { position: [20.0, 10.0], altitude_m: 4e5, look: [0.0, -90.0] };
 
 /// What a frame took.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Cost {
     /// From its begin until the GPU was done.
     pub(super) ms: f64,
@@ -33,6 +33,9 @@ pub(super) struct Cost {
     pub(super) select_ms: f64,
     pub(super) patches: usize,
     pub(super) wanted: usize,
+    pub(super) uploaded_bytes: u64,
+    /// Whether the picture was not there already.
+    pub(super) is_drawn: bool,
 }
 
 /// A renderer with something to draw.
@@ -44,6 +47,7 @@ pub(super) struct Stage {
     renderer: Renderer,
     size: [u32; 2],
     spot: Spot,
+    first: Cost,
 }
 
 /// Pixels that the ground moves by from one frame to the next.
@@ -56,7 +60,8 @@ impl Stage {
     pub(super) fn new(gpu: &Gpu, cache: Cache, size: [u32; 2], spot: Spot) -> Self {
         let session = cache.session();
         let renderer = Renderer::new(gpu, cache.body().ellipsoid);
-        let mut stage = Self { gpu: gpu.clone(), cache, session, renderer, size, spot };
+        let (gpu, first) = (gpu.clone(), Cost::default());
+        let mut stage = Self { gpu, cache, session, renderer, size, spot, first };
         stage.settle();
         stage
     }
@@ -73,6 +78,16 @@ impl Stage {
         self.frame(number)
     }
 
+    /// What its first frame took.
+    pub(super) fn first(&self) -> Cost {
+        self.first
+    }
+
+    /// What the frame drawn last was made of.
+    pub(super) fn usage(&self) -> Usage {
+        self.renderer.read_usage()
+    }
+
     pub(super) fn cache(&self) -> &Cache {
         &self.cache
     }
@@ -81,7 +96,7 @@ impl Stage {
         let view = self.view(0);
         drop(self.session.settle(&view));
         // A driver does more at the first time.
-        self.frame(0);
+        self.first = self.frame(0);
     }
 
     /// Draws the frame of a number.
@@ -102,6 +117,8 @@ impl Stage {
             select_ms: ms(selected),
             patches: drawn.patches,
             wanted: selection.wanted,
+            uploaded_bytes: drawn.uploaded_bytes,
+            is_drawn: !drawn.is_same,
         }
     }
 
@@ -135,8 +152,7 @@ pub(super) fn trivial(gpu: &Gpu, yardstick: &Yardstick) -> Cost {
     yardstick.draw();
     let encoded = clock() - cpu;
     gpu.wait();
-    let ms_of = ms(begin.elapsed());
-    Cost { ms: ms_of, cpu_ms: ms(encoded), select_ms: 0.0, patches: 0, wanted: 0 }
+    Cost { ms: ms(begin.elapsed()), cpu_ms: ms(encoded), ..Cost::default() }
 }
 
 fn ms(duration: Duration) -> f64 {

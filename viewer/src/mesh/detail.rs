@@ -42,7 +42,7 @@ const SPACING_TEXELS: f64 = 1.0;
 const SAGITTA_PX: f64 = 0.05;
 /// Pixels between vertices, times the square of a patch's side: on a patch that bends far around the
 /// body, places between vertices are off by a share of that, a tenth or so near the limb.
-const BENT_PX: f64 = 0.25;
+const BENT_PX: f64 = 0.5;
 /// An eye is never taken as nearer to the ground than this.
 const NEAREST_M: f64 = 0.25;
 /// Triangles this deep are a tenth of a meter on the Earth.

@@ -9,6 +9,7 @@ mod pipelines;
 mod renderer;
 mod resident;
 mod targets;
+mod usage;
 
 #[cfg(test)]
 pub(crate) mod testing;
@@ -16,3 +17,4 @@ pub(crate) mod testing;
 pub use aovs::Aovs;
 pub use options::{Debug, FrameStatistics, Image, Light, Options, Relief};
 pub use renderer::Renderer;
+pub use usage::Usage;

@@ -20,6 +20,7 @@ use super::pattern::Pattern;
 use super::pipelines::Pipelines;
 use super::resident::{Brought, Clock, Resident};
 use super::targets::{Targets, read_buffer, read_texture};
+use super::usage::Usage;
 use crate::atmosphere::Air;
 use crate::camera::pixel_angle;
 use crate::gpu::Gpu;
@@ -184,6 +185,19 @@ impl Renderer {
         let deferred = read_texture(&self.gpu, &targets.deferred);
         let measures = read_buffer(&self.gpu, &targets.measures);
         Aovs::new(view, &self.ellipsoid, self.exaggeration, &self.mesh, &deferred, &measures)
+    }
+
+    /// What of the material of the picture drawn last shows in it. Waits for the GPU, and takes a while.
+    ///
+    /// # Panics
+    ///
+    /// If nothing was drawn.
+    #[must_use]
+    pub fn read_usage(&self) -> Usage {
+        let targets = self.targets.as_ref().expect("a picture was drawn");
+        let view = self.drawn.as_ref().expect("a picture was drawn");
+        let deferred = read_texture(&self.gpu, &targets.deferred);
+        Usage::new(view, &self.ellipsoid, &self.mesh, &self.surface, &deferred)
     }
 
     /// The exaggerated height drawn last at a unit normal, from the finest page in memory; 0 before.
