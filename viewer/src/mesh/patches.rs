@@ -207,7 +207,13 @@ impl Mesh {
         mirrored
     }
 
-    /// How many points the shaders compose: of the edges, and then of the patches.
+    /// How many points the shaders compose: those of the edges, and those inside the patches.
+    pub(crate) fn composed_points(&self) -> usize {
+        let side = SEGMENTS as usize + 1;
+        self.edges.len() * side + self.patches.len() * ((side - 2) * (side - 3) / 2)
+    }
+
+    /// How many points there is room for: of the edges, and then of the patches, with their sides.
     pub(crate) fn points(&self) -> usize {
         let side = SEGMENTS as usize + 1;
         self.edges.len() * side + self.patches.len() * (side * (side + 1) / 2)

@@ -55,7 +55,7 @@ impl Usage {
         let bytes_of = |page: &areoid_cache::ResidentPage| page.page.bytes() as u64;
         Self {
             visible_pixels,
-            composed_points: mesh.points(),
+            composed_points: mesh.composed_points(),
             patches: mesh.patches.len(),
             patches_seen: patches.len(),
             pages: surface.pages().count(),
