@@ -208,7 +208,10 @@ impl<H: Host> Viewer<H> {
         }
         stage.presenter.end(frame);
         let is_moving = painted.is_some_and(|painted| painted.is_moving);
-        stage.unfinished = unfinished || is_moving || settings_before != self.settings;
+        // Pages that this frame brought may say more of it than the panel did.
+        let is_outdated = self.is_panel_shown && self.point_out(stage, &views, selection);
+        stage.unfinished =
+            unfinished || is_moving || is_outdated || settings_before != self.settings;
         stage.drawn = Some((views, selection.generation, self.settings.clone()));
         if let Some(pictures) = saved {
             let picture = Image::side_by_side(&pictures);
@@ -233,17 +236,25 @@ impl<H: Host> Viewer<H> {
         figures.stats = self.host.stats();
         (figures.bookmarks, figures.is_recording) =
             (self.bookmarks.len(), self.recording.is_some());
+        self.point_out(stage, views, selection);
+    }
+
+    /// Finds out what is under the cursor; whether that is something else than before.
+    fn point_out(&mut self, stage: &Stage, views: &[View], selection: &Selection) -> bool {
         let pointer = self.hand.position;
         let mut left = 0.0;
-        figures.under_cursor = views.iter().find_map(|view| {
+        let under_cursor = views.iter().find_map(|view| {
             let pixel = [pointer.x - left, pointer.y];
             left += f64::from(view.viewport[0]);
             let is_over = (0.0..f64::from(view.viewport[0])).contains(&pixel[0]);
             is_over.then(|| stage.renderer.pick(view, pixel)).flatten()
         });
-        let height = figures.under_cursor.as_ref().and_then(|picked| picked.height);
+        let height = under_cursor.as_ref().and_then(|picked| picked.height);
         let info = height.and_then(|height| selection.datasets.get(height.dataset));
-        figures.dataset = info.map(|info| info.name.clone()).unwrap_or_default();
+        self.figures.dataset = info.map(|info| info.name.clone()).unwrap_or_default();
+        let is_new = under_cursor != self.figures.under_cursor;
+        self.figures.under_cursor = under_cursor;
+        is_new
     }
 
     fn record(&mut self, views: &[View]) {
