@@ -62,9 +62,12 @@ pub(crate) fn moved(before: &RgbImage, place: [i32; 2], now: &RgbImage, most: i3
         let points = rows.flat_map(|y| (-HALF[0]..=HALF[0]).step_by(3).map(move |x| [x, y]));
         let differences = points.map(|[x, y]| {
             let [x, y] = [place[0] + x, place[1] + y];
-            (gray(before, x, y) - gray(now, x + right, y + down)).abs()
+            gray(before, x, y) - gray(now, x + right, y + down)
         });
-        differences.sum::<i32>()
+        // The light moves, too: what counts is the relief.
+        let differences: Vec<i32> = differences.collect();
+        let mean = differences.iter().sum::<i32>() / i32::try_from(differences.len()).unwrap();
+        differences.iter().map(|difference| (difference - mean).abs()).sum::<i32>()
     };
     let ways = (-most..=most).flat_map(|down| (-most..=most).map(move |right| [right, down]));
     ways.min_by_key(unlike).unwrap()
