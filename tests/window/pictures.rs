@@ -48,27 +48,3 @@ pub(crate) fn halves(picture: &RgbImage) -> [RgbImage; 2] {
     let [width, height] = [picture.width() / 2, picture.height()];
     [0, width].map(|left| crop_imm(picture, left, 0, width, height).to_image())
 }
-
-/// Pixels to the right and down by which what was about `place` has moved, at most `most` a way.
-pub(crate) fn moved(before: &RgbImage, place: [i32; 2], now: &RgbImage, most: i32) -> [i32; 2] {
-    const HALF: [i32; 2] = [40, 24];
-
-    let gray = |picture: &RgbImage, x: i32, y: i32| {
-        let [x, y] = [x, y].map(|at| u32::try_from(at).unwrap());
-        picture.get_pixel(x, y).0.iter().map(|&code| i32::from(code)).sum::<i32>()
-    };
-    let unlike = |&[right, down]: &[i32; 2]| {
-        let rows = (-HALF[1]..=HALF[1]).step_by(3);
-        let points = rows.flat_map(|y| (-HALF[0]..=HALF[0]).step_by(3).map(move |x| [x, y]));
-        let differences = points.map(|[x, y]| {
-            let [x, y] = [place[0] + x, place[1] + y];
-            gray(before, x, y) - gray(now, x + right, y + down)
-        });
-        // The light moves, too: what counts is the relief.
-        let differences: Vec<i32> = differences.collect();
-        let mean = differences.iter().sum::<i32>() / i32::try_from(differences.len()).unwrap();
-        differences.iter().map(|difference| (difference - mean).abs()).sum::<i32>()
-    };
-    let ways = (-most..=most).flat_map(|down| (-most..=most).map(move |right| [right, down]));
-    ways.min_by_key(unlike).unwrap()
-}
