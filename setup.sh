@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Installs the system packages that the viewer and its tests need, and says which and why.
+# Installs the system packages that the viewer needs, and with the argument `tests` those that its
+# tests need, too, and says which and why.
 # Rust itself is expected to be there.
 set -euo pipefail
 
@@ -16,6 +17,11 @@ need mesa-vulkan-drivers '/usr/share/vulkan/icd.d/*' \
 need libxkbcommon-x11-0 '/usr/lib/*/libxkbcommon-x11.so.0' 'keys in the window of areoid view'
 need libxcursor1 '/usr/lib/*/libXcursor.so.1' 'the pointer in that window'
 need libxi6 '/usr/lib/*/libXi.so.6' 'buttons and wheels in that window'
+if [ "${1-}" = tests ]; then
+    need xvfb '/usr/bin/Xvfb' 'a display for the window that the tests drive'
+    need vulkan-validationlayers '/usr/share/vulkan/explicit_layer.d/VkLayer_khronos_validation.json' \
+        'tests hear what it says of how the window draws'
+fi
 need gcc '/usr/bin/cc' 'the linker that Rust calls'
 need libc6-dev '/usr/include/stdio.h' 'what the linker links with'
 

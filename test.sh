@@ -3,5 +3,5 @@
 set -euo pipefail
 cd "$(dirname "$0")"
 
-./setup.sh
+./setup.sh tests
 cargo test --workspace --profile ci

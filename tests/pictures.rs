@@ -10,11 +10,21 @@
 mod support {
     pub(crate) mod npy;
     pub(crate) mod ray;
+    #[cfg(target_os = "linux")]
+    pub(crate) mod validation;
 }
 
 mod flight {
     mod fly;
     mod styles;
+}
+
+#[cfg(target_os = "linux")]
+mod window {
+    mod display;
+    mod driven;
+    mod drop;
+    mod pictures;
 }
 
 use std::path::{Path, PathBuf};

@@ -87,8 +87,9 @@ fn insert_all(cache: &Cache, folder: &Path) -> Result<(), Box<dyn Error>> {
     let (catalog, archives) = Catalog::open_with_archives(folder)?;
     for (record, archive) in catalog.datasets().iter().zip(archives) {
         let grid = archive.description().grid.clone();
-        let (name, kind, priority) = (record.name.clone(), record.kind, record.priority);
-        cache.insert(DatasetInfo { name, kind, grid, priority }, Arc::new(archive))?;
+        let (name, group) = (record.name.clone(), record.group.clone());
+        let (kind, priority) = (record.kind, record.priority);
+        cache.insert(DatasetInfo { name, group, kind, grid, priority }, Arc::new(archive))?;
     }
     Ok(())
 }

@@ -88,6 +88,7 @@ pub(crate) fn news(
                 Ok(archive) => {
                     let info = DatasetInfo {
                         name: record.name.clone(),
+                        group: record.group.clone(),
                         kind: record.kind,
                         grid: archive.description().grid.clone(),
                         priority: record.priority,

@@ -13,6 +13,8 @@ use areoid_formats::page::{Kind, Page};
 pub struct DatasetInfo {
     /// The dataset's name.
     pub name: String,
+    /// The group that it is a part of, which the user names as one.
+    pub group: Option<String>,
     /// What its texels are.
     pub kind: Kind,
     /// Where its texels lie.

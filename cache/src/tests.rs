@@ -241,6 +241,7 @@ impl Gated {
         let source = GatedSource { bytes, gate: Arc::clone(&gate) };
         let info = DatasetInfo {
             name: description.dataset,
+            group: None,
             kind: description.kind,
             grid: description.grid,
             priority: description.priority,

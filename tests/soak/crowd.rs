@@ -236,6 +236,7 @@ impl<'a> Crowd<'a> {
                 priority += 1;
                 let info = DatasetInfo {
                     name: VISITOR.to_owned(),
+                    group: None,
                     kind: archive.description().kind,
                     grid: archive.description().grid.clone(),
                     priority,

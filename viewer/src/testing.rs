@@ -30,7 +30,7 @@ pub(crate) fn dataset(
     priority: i32,
 ) -> DatasetInfo {
     let grid = Grid::from_outline(crs, outline, page_side).unwrap().grid;
-    DatasetInfo { name: name.to_owned(), kind, grid, priority }
+    DatasetInfo { name: name.to_owned(), group: None, kind, grid, priority }
 }
 
 /// A selection of every page of every dataset, whose texels are `sample(place)`.

@@ -75,8 +75,6 @@ pub struct RemoteCatalog {
 pub struct RemoteDataset {
     /// What a viewer has to know of it.
     pub info: DatasetInfo,
-    /// The group that it is a part of.
-    pub group: Option<String>,
     /// Its pages, for [`Cache::with_sources`](crate::Cache::with_sources).
     pub pages: Arc<RemotePages>,
 }
@@ -85,7 +83,7 @@ impl RemoteDataset {
     /// Whether `name` means it: its own name, or that of its group.
     #[must_use]
     pub fn answers_to(&self, name: &str) -> bool {
-        self.info.name == name || self.group.as_deref() == Some(name)
+        self.info.name == name || self.info.group.as_deref() == Some(name)
     }
 }
 
@@ -168,11 +166,12 @@ impl Listed {
         }
         let info = DatasetInfo {
             name: dataset(),
+            group: self.group.clone(),
             kind: description.kind,
             grid: description.grid.clone(),
             priority: self.priority,
         };
-        Ok(RemoteDataset { info, group: self.group.clone(), pages: Arc::new(pages) })
+        Ok(RemoteDataset { info, pages: Arc::new(pages) })
     }
 }
 

@@ -81,6 +81,7 @@ fn an_archive_without_its_end_is_read_through() {
     let archive = Archive::open(Box::new(bytes)).unwrap();
     let info = DatasetInfo {
         name: description.dataset,
+        group: None,
         kind: description.kind,
         grid: description.grid,
         priority: 0,

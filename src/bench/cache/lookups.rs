@@ -121,6 +121,7 @@ fn cache(archive: &Arc<Archive>) -> Result<Cache, Failure> {
     let description = archive.description();
     let info = DatasetInfo {
         name: description.dataset.clone(),
+        group: None,
         kind: description.kind,
         grid: description.grid.clone(),
         priority: description.priority,

@@ -59,7 +59,7 @@ pub(super) fn patch(number: u32, count: u32, delay: Duration) -> Result<Arc<Patc
         .map_err(|error| std::io::Error::other(error.to_string()))?
         .grid;
     let name = format!("patch-{number}");
-    let info = DatasetInfo { name, kind: Kind::Height, grid, priority: 0 };
+    let info = DatasetInfo { name, group: None, kind: Kind::Height, grid, priority: 0 };
     Ok(Arc::new(Patch { info, delay }))
 }
 

@@ -41,7 +41,13 @@ pub(super) fn body() -> Body {
 
 impl Planet {
     pub(super) fn new(name: &str, grid: Grid, delay: Duration) -> Arc<Self> {
-        let info = DatasetInfo { name: name.to_owned(), kind: Kind::Height, grid, priority: 0 };
+        let info = DatasetInfo {
+            name: name.to_owned(),
+            group: None,
+            kind: Kind::Height,
+            grid,
+            priority: 0,
+        };
         let (entries, leaves, loads) = (HashMap::new(), HashMap::new(), AtomicU64::new(0));
         let mut planet = Self { info, entries, leaves, delay, loads };
         let (rows, cols) = planet.info.grid.pyramid().pages(Level(0)).expect("a coarsest level");

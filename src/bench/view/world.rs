@@ -76,6 +76,7 @@ pub(super) fn datasets(catalog: &Path, times: usize) -> Result<(Body, Vec<Named>
             let description = archive.description();
             let info = DatasetInfo {
                 name: format!("{}-{number}", description.dataset),
+                group: None,
                 kind: description.kind,
                 grid: description.grid.clone(),
                 priority: description.priority,

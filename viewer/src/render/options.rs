@@ -118,6 +118,23 @@ pub struct Image {
     pub rgba: Vec<u8>,
 }
 
+impl Image {
+    /// Pictures from left to right; it is as high as the lowest of them.
+    pub(crate) fn side_by_side(pictures: &[Self]) -> Self {
+        let height = pictures.iter().map(|picture| picture.height).min().unwrap_or(0);
+        let row = |picture: &Self, row: u32| {
+            let bytes = 4 * picture.width as usize;
+            let start = row as usize * bytes;
+            start..start + bytes
+        };
+        let rows = (0..height).flat_map(|at| {
+            pictures.iter().flat_map(move |picture| &picture.rgba[row(picture, at)])
+        });
+        let width = pictures.iter().map(|picture| picture.width).sum();
+        Self { width, height, rgba: rows.copied().collect() }
+    }
+}
+
 /// What a frame cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameStatistics {
@@ -137,4 +154,20 @@ pub struct FrameStatistics {
     pub is_same: bool,
     /// Pages for which the atlas has no room.
     pub left_out_pages: usize,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_stand_side_by_side_row_by_row() {
+        let of = |width: u32, codes: &[u8]| {
+            let rgba: Vec<u8> = codes.iter().flat_map(|&code| [code; 4]).collect();
+            Image { width, height: u32::try_from(codes.len()).unwrap() / width, rgba }
+        };
+        let (left, right) = (of(2, &[1, 2, 5, 6]), of(1, &[3, 7, 9]));
+        assert_eq!(Image::side_by_side(&[left.clone(), right]), of(3, &[1, 2, 3, 5, 6, 7]));
+        assert_eq!(Image::side_by_side(std::slice::from_ref(&left)), left);
+    }
 }

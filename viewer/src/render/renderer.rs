@@ -208,10 +208,10 @@ impl Renderer {
         found.map_or(0.0, |found| self.exaggeration * found.value[0])
     }
 
-    /// What the ray through a place of the picture drawn last, in pixels from its top left, meets.
+    /// What the ray through a place of a view's picture, in pixels from its top left, meets, by the
+    /// pages drawn last.
     #[must_use]
-    pub fn pick(&self, pixel: [f64; 2]) -> Option<Picked> {
-        let view = self.drawn.as_ref()?;
+    pub fn pick(&self, view: &View, pixel: [f64; 2]) -> Option<Picked> {
         pick(&self.surface, &self.ellipsoid, view, self.exaggeration, pixel)
     }
 

@@ -106,6 +106,7 @@ fn places_are_found_to_a_sixteenth_of_a_texel() {
     for (name, grid, body) in grids() {
         let info = areoid_cache::DatasetInfo {
             name: name.to_owned(),
+            group: None,
             kind: Kind::Height,
             grid: grid.clone(),
             priority: 0,

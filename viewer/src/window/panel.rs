@@ -119,35 +119,64 @@ fn under_cursor(ui: &mut Ui, figures: &Figures) {
     }
 }
 
-fn layers(ui: &mut Ui, settings: &mut Settings, datasets: &Datasets) {
+/// What the user names: a dataset, or a group of them.
+#[derive(Clone, Debug, PartialEq)]
+struct Row<'a> {
+    name: &'a str,
+    kind: Kind,
+    priority: i32,
+    /// The names of the group's parts.
+    parts: Vec<&'a str>,
+}
+
+/// A row for each group and for each dataset of none, in the order of their first.
+fn rows(datasets: &Datasets) -> Vec<Row<'_>> {
+    let mut rows: Vec<Row<'_>> = Vec::new();
     for (_, info) in datasets.iter() {
-        let kind = match info.kind {
+        let name = info.group.as_ref().unwrap_or(&info.name);
+        let part = info.group.is_some().then_some(info.name.as_str());
+        if let Some(row) = rows.iter_mut().find(|row| row.name == name) {
+            row.parts.extend(part);
+        } else {
+            let parts = part.into_iter().collect();
+            rows.push(Row { name, kind: info.kind, priority: info.priority, parts });
+        }
+    }
+    rows
+}
+
+fn layers(ui: &mut Ui, settings: &mut Settings, datasets: &Datasets) {
+    for row in rows(datasets) {
+        let kind = match row.kind {
             Kind::Height => "height",
             Kind::Color => "color",
             Kind::Normal => "normal",
         };
-        let before = settings.layer(&info.name);
+        let before = settings.layer(row.name);
         let mut layer = before.clone();
         ui.horizontal(|ui| {
             let mut is_shown = layer.weight > 0.0;
-            if ui.checkbox(&mut is_shown, &info.name).changed() {
+            if ui.checkbox(&mut is_shown, row.name).changed() {
                 layer.weight = if is_shown { 1.0 } else { 0.0 };
             }
             ui.weak(kind);
+            if !row.parts.is_empty() {
+                ui.weak(format!("in {} parts", row.parts.len()));
+            }
         });
-        ui.indent(&info.name, |ui| {
+        ui.indent(row.name, |ui| {
             ui.horizontal(|ui| {
                 ui.add(Slider::new(&mut layer.weight, 0.0..=1.0).fixed_decimals(2).text("weight"));
             });
             ui.horizontal(|ui| {
-                let mut priority = layer.priority.unwrap_or(info.priority);
+                let mut priority = layer.priority.unwrap_or(row.priority);
                 ui.label("order");
                 if ui.add(DragValue::new(&mut priority)).changed() {
                     layer.priority = Some(priority);
                 }
                 ui.label("series");
                 ui.add(DragValue::new(&mut layer.series).range(0..=99));
-                if info.kind == Kind::Color {
+                if row.kind == Kind::Color {
                     let mut is_luminance = layer.role == Role::Luminance;
                     ui.checkbox(&mut is_luminance, "luminance");
                     layer.role = if is_luminance { Role::Luminance } else { Role::Color };
@@ -155,7 +184,7 @@ fn layers(ui: &mut Ui, settings: &mut Settings, datasets: &Datasets) {
             });
         });
         if layer != before {
-            settings.set_layer(layer);
+            settings.set_layer(layer, &row.parts);
         }
     }
 }
@@ -233,4 +262,36 @@ fn statistics(ui: &mut Ui, figures: &Figures) {
         stats.pages
     ));
     ui.monospace(format!("{} loads, {} dropped", stats.loads, stats.evictions));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use areoid_cache::DatasetInfo;
+    use areoid_formats::body::Body;
+    use areoid_formats::grid::{Grid, Outline};
+    use areoid_formats::projection::{Crs, Projection};
+
+    fn info(name: &str, group: Option<&str>, priority: i32) -> DatasetInfo {
+        let crs = Crs::new(Projection::Geographic, Body::parse("mars").unwrap().ellipsoid);
+        let outline = Outline { origin: [0.0; 2], pixel_size: [1.0; 2], width: 4, height: 4 };
+        let grid = Grid::from_outline(crs, outline, 64).unwrap().grid;
+        let (name, group) = (name.to_owned(), group.map(str::to_owned));
+        DatasetInfo { name, group, kind: Kind::Height, grid, priority }
+    }
+
+    #[test]
+    fn a_group_is_one_row_and_a_name_with_a_dot_alone_is_none() {
+        let datasets = Datasets::from(vec![
+            info("ice.1999", None, 1),
+            info("mola.band", Some("mola"), 5),
+            info("ice.2020", None, 2),
+            info("mola.north", Some("mola"), 5),
+        ]);
+        let found = rows(&datasets);
+        let names: Vec<_> = found.iter().map(|row| (row.name, row.priority)).collect();
+        assert_eq!(names, [("ice.1999", 1), ("mola", 5), ("ice.2020", 2)]);
+        let parts: Vec<_> = found.iter().map(|row| row.parts.as_slice()).collect();
+        assert_eq!(parts, [&[][..], &["mola.band", "mola.north"], &[]]);
+    }
 }

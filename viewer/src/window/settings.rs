@@ -101,9 +101,10 @@ impl Settings {
         Layer { dataset: dataset.to_owned(), ..layer }
     }
 
-    /// Says it.
-    pub(super) fn set_layer(&mut self, layer: Layer) {
-        self.style.layers.retain(|other| other.dataset != layer.dataset);
+    /// Says it, instead of what was said of the parts.
+    pub(super) fn set_layer(&mut self, layer: Layer, parts: &[&str]) {
+        let is_meant = |name: &str| name == layer.dataset || parts.contains(&name);
+        self.style.layers.retain(|other| !is_meant(&other.dataset));
         self.style.layers.push(layer);
     }
 }
@@ -120,4 +121,20 @@ fn ramp() -> Ramp {
         stop(20_000.0, [250, 250, 250]),
     ];
     Ramp { stops, opacity: 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_follow_what_is_said_of_their_group_and_nothing_else_does() {
+        let weight = |dataset: &str, weight| Layer { weight, ..Layer::of(dataset) };
+        let layers = vec![weight("mola.north", 0.2), weight("mola.x", 0.3), weight("mola", 0.4)];
+        let mut settings = Settings::new(1.0, Style { layers, ramp: None });
+        settings.set_layer(weight("mola", 0.9), &["mola.band", "mola.north"]);
+        let weight_of = |name: &str| settings.layer(name).weight;
+        assert_eq!(["mola", "mola.north", "mola.band"].map(weight_of), [0.9; 3]);
+        assert_eq!(weight_of("mola.x"), 0.3);
+    }
 }

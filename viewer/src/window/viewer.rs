@@ -22,7 +22,7 @@ use super::settings::{Arrangement, Settings};
 use super::{WindowError, WindowOptions};
 use crate::camera::pixel_angle;
 use crate::orbit::Orbit;
-use crate::render::Renderer;
+use crate::render::{Image, Renderer};
 
 /// How often a window at rest looks whether pages came while some are missing, and while none is.
 const POLL_BUSY: Duration = Duration::from_millis(16);
@@ -64,6 +64,8 @@ struct Stage {
     unfinished: bool,
     /// Whether pages are on their way, or an insertion is.
     is_busy: bool,
+    /// Whether what is drawn next is saved.
+    saves_picture: bool,
 }
 
 impl<H: Host> Viewer<H> {
@@ -101,7 +103,15 @@ impl<H: Host> Viewer<H> {
         let gpu = presenter.gpu();
         let renderer = Renderer::new(gpu, self.options.ellipsoid);
         let painter = Painter::new(gpu, presenter.window(), presenter.format());
-        Ok(Stage { presenter, renderer, painter, drawn: None, unfinished: true, is_busy: true })
+        Ok(Stage {
+            presenter,
+            renderer,
+            painter,
+            drawn: None,
+            unfinished: true,
+            is_busy: true,
+            saves_picture: false,
+        })
     }
 
     /// The views that stand side by side.
@@ -159,7 +169,7 @@ impl<H: Host> Viewer<H> {
             return;
         };
         let settings_before = self.settings.clone();
-        self.tell(stage, selection);
+        self.tell(stage, &views, selection);
         let datasets = self.host.datasets();
         let mut wishes = Vec::new();
         let mut painted = self.is_panel_shown.then(|| {
@@ -174,6 +184,7 @@ impl<H: Host> Viewer<H> {
         let seconds = self.start.elapsed().as_secs_f64();
         let options = self.settings.options(&self.options.ellipsoid, seconds);
         let (mut left, mut unfinished) = (0, false);
+        let mut saved = std::mem::take(&mut stage.saves_picture).then(Vec::new);
         for (place, view) in views.iter().enumerate() {
             let orbit = &self.orbits[self.orbit_of(place)];
             let [right, up] = [view.orientation.x_axis, view.orientation.y_axis];
@@ -181,6 +192,9 @@ impl<H: Host> Viewer<H> {
             let drawn = stage.renderer.render(view, selection, &light, &options);
             if let Some(picture) = stage.renderer.picture() {
                 stage.presenter.show(&frame, picture, left);
+            }
+            if let Some(saved) = &mut saved {
+                saved.push(stage.renderer.read_color());
             }
             left += view.viewport[0];
             unfinished |= drawn.pending_pages + drawn.coming_pages > 0;
@@ -194,8 +208,17 @@ impl<H: Host> Viewer<H> {
         }
         stage.presenter.end(frame);
         let is_moving = painted.is_some_and(|painted| painted.is_moving);
-        stage.unfinished = unfinished || is_moving || settings_before != self.settings;
+        // Pages that this frame brought may say more of it than the panel did.
+        let is_outdated = self.is_panel_shown && self.point_out(stage, &views, selection);
+        stage.unfinished =
+            unfinished || is_moving || is_outdated || settings_before != self.settings;
         stage.drawn = Some((views, selection.generation, self.settings.clone()));
+        if let Some(pictures) = saved {
+            let picture = Image::side_by_side(&pictures);
+            let saved = self.host.save("areoid", Content::Picture(&picture));
+            self.say(saved);
+            stage.unfinished = true;
+        }
         for wish in wishes {
             self.grant(&wish, stage);
         }
@@ -206,22 +229,32 @@ impl<H: Host> Viewer<H> {
         if self.settings.arrangement == Arrangement::SideBySide { place } else { 0 }
     }
 
-    fn tell(&mut self, stage: &Stage, selection: &Selection) {
+    fn tell(&mut self, stage: &Stage, views: &[View], selection: &Selection) {
         let figures = &mut self.figures;
         (figures.missing, figures.wanted) = (selection.missing, selection.wanted);
         figures.met_px = selection.tolerance_px;
         figures.stats = self.host.stats();
         (figures.bookmarks, figures.is_recording) =
             (self.bookmarks.len(), self.recording.is_some());
-        // The renderer knows the view that it drew last: the one on the right.
-        let [width, _] = stage.presenter.viewport();
-        let views = if self.settings.arrangement == Arrangement::Single { 1 } else { 2 };
-        let left = f64::from(width / views * (views - 1));
-        let pixel = [self.hand.position.x - left, self.hand.position.y];
-        figures.under_cursor = (pixel[0] >= 0.0).then(|| stage.renderer.pick(pixel)).flatten();
-        let height = figures.under_cursor.as_ref().and_then(|picked| picked.height);
+        self.point_out(stage, views, selection);
+    }
+
+    /// Finds out what is under the cursor; whether that is something else than before.
+    fn point_out(&mut self, stage: &Stage, views: &[View], selection: &Selection) -> bool {
+        let pointer = self.hand.position;
+        let mut left = 0.0;
+        let under_cursor = views.iter().find_map(|view| {
+            let pixel = [pointer.x - left, pointer.y];
+            left += f64::from(view.viewport[0]);
+            let is_over = (0.0..f64::from(view.viewport[0])).contains(&pixel[0]);
+            is_over.then(|| stage.renderer.pick(view, pixel)).flatten()
+        });
+        let height = under_cursor.as_ref().and_then(|picked| picked.height);
         let info = height.and_then(|height| selection.datasets.get(height.dataset));
-        figures.dataset = info.map(|info| info.name.clone()).unwrap_or_default();
+        self.figures.dataset = info.map(|info| info.name.clone()).unwrap_or_default();
+        let is_new = under_cursor != self.figures.under_cursor;
+        self.figures.under_cursor = under_cursor;
+        is_new
     }
 
     fn record(&mut self, views: &[View]) {
@@ -255,11 +288,7 @@ impl<H: Host> Viewer<H> {
                     self.say(saved);
                 }
             },
-            Wish::Screenshot => {
-                let picture = stage.renderer.read_color();
-                let saved = self.host.save("areoid", Content::Picture(&picture));
-                self.say(saved);
-            }
+            Wish::Screenshot => stage.saves_picture = true,
         }
     }
 
