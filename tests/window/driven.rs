@@ -179,7 +179,7 @@ fn a_window_does_what_the_hand_says() {
     let levels = driven.changes("levels", &near, 90);
     driven.display.press('d');
     driven.changes("datasets", &levels, 90);
-    (0..3).for_each(|_| driven.display.press('d'));
+    (0..4).for_each(|_| driven.display.press('d'));
     driven.returns("no levels", &near);
 
     driven.display.drag(LEFT, [280, 180], [360, 210]);
