@@ -1,11 +1,12 @@
 // atmosphere.wgsl - light that air scatters once along a ray, and how much of what is behind it
 // gets through.
 //
-// Heights count from a sphere that touches the reference surface under the eye; nothing here is as
-// large as the planet and then subtracted.
+// Heights count from a sphere that touches the reference surface under the eye. Places along a ray
+// are told from its lowest point, so that an eye may be far away: the rounding of directions alone
+// moves that by the eye's distance times 2^-24, 60 m at 10^9 m.
 //
 // Units      meters, and per meter; white ground square to the sun sends 1
-// Precision  2 % of the twin's numbers
+// Precision  2 % of the twin's numbers up to 10^9 m, where a scale height of 1 km is told to 6 %
 // Twin       atmosphere.rs, which says what the model is and whose
 
 struct Atmosphere {
@@ -40,22 +41,29 @@ struct Scattered {
     transmittance: vec3f,
 }
 
-// √(a² + 2 a t cosine + t²) − R with a = R + h.
-fn height_along(cosine: f32, t: f32) -> f32 {
-    let above = air.eye_height * (2.0 * air.radius + air.eye_height) + t * (2.0 * (air.radius + air.eye_height) * cosine + t);
-    return above / (sqrt(max(air.radius * air.radius + above, 0.0)) + air.radius);
+// A ray by its point nearest to the center, which may be behind the eye.
+struct AirRay {
+    // From the center.
+    nearest: vec3f,
+    // Of that point above the sphere.
+    lowest: f32,
+    // The eye from there along the ray.
+    eye: f32,
 }
 
-// Where a ray is in the air: nowhere if the second is not larger.
-fn air_span(cosine: f32) -> vec2f {
-    let rest = (air.eye_height - air.top) * (2.0 * air.radius + air.eye_height + air.top);
-    let half = (air.radius + air.eye_height) * cosine;
-    let inside = half * half - rest;
-    if inside <= 0.0 {
-        return vec2f(0.0);
-    }
-    let root = sqrt(inside);
-    return vec2f(max(-half - root, 0.0), root - half);
+fn air_ray(direction: vec3f) -> AirRay {
+    let distance = air.radius + air.eye_height;
+    let cosine = dot(direction, air.eye_up);
+    let sine = length(cross(direction, air.eye_up));
+    // (R + h) sine - R, in a form that does not cancel near the ground.
+    let lowest = air.eye_height * sine - air.radius * cosine * cosine / (1.0 + sine);
+    return AirRay(distance * (air.eye_up - direction * cosine), lowest, distance * cosine);
+}
+
+// Above the sphere at s meters from a ray's nearest point: √((R + l)² + s²) − R.
+fn air_height(ray: AirRay, s: f32) -> f32 {
+    let above = ray.lowest * (2.0 * air.radius + ray.lowest) + s * s;
+    return above / (sqrt(max(air.radius * air.radius + above, 0.0)) + air.radius);
 }
 
 // Chapman's function for a cosine of 0 or more: the air along a ray from x scale heights out, over
@@ -105,27 +113,31 @@ fn mie_phase(cosine: f32, asymmetry: f32) -> f32 {
 // What comes along a ray of unit direction from as far as `end`, or from outside.
 fn scattered_along(direction: vec3f, end: f32, sun: vec3f) -> Scattered {
     var scattered = Scattered(vec3f(0.0), vec3f(1.0));
-    let cosine = dot(direction, air.eye_up);
-    let span = air_span(cosine);
-    let last = min(span.y, end);
-    if air.top <= 0.0 || last <= span.x {
+    let ray = air_ray(direction);
+    let inside = (air.top - ray.lowest) * (2.0 * air.radius + air.top + ray.lowest);
+    if air.top <= 0.0 || inside <= 0.0 {
+        return scattered;
+    }
+    let start = max(-sqrt(inside), ray.eye);
+    let last = min(sqrt(inside), ray.eye + end);
+    if last <= start {
         return scattered;
     }
     let angle = dot(direction, sun);
     let by_molecules = air.rayleigh * rayleigh_phase(angle);
     let by_dust = air.mie * mie_phase(angle, air.asymmetry);
     // Samples crowd about the ray's lowest point, where the air is.
-    let lowest = clamp(-(air.radius + air.eye_height) * cosine, span.x, last);
-    let first = -sqrt(lowest - span.x);
-    let each = (sqrt(last - lowest) - first) / f32(STEPS);
+    let middle = clamp(0.0, start, last);
+    let first = -sqrt(middle - start);
+    let each = (sqrt(last - middle) - first) / f32(STEPS);
     for (var i = 0; i < STEPS; i++) {
         let root = first + (f32(i) + 0.5) * each;
-        let t = lowest + root * abs(root);
+        let s = middle + root * abs(root);
         let stride = 2.0 * abs(root) * each;
-        let height = height_along(cosine, t);
+        let height = air_height(ray, s);
         let molecules = exp(-height / air.rayleigh_height);
         let dust = exp(-height / air.mie_height);
-        let up = (air.eye_up * (air.radius + air.eye_height) + direction * t) / (air.radius + height);
+        let up = (ray.nearest + direction * s) / (air.radius + height);
         let sunlight = sunlight_at(max(height, 0.0), dot(up, sun));
         let through = exp(-(air.rayleigh * molecules + air.mie_extinction * dust) * (0.5 * stride));
         scattered.transmittance *= through;

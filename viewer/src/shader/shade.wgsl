@@ -163,7 +163,8 @@ fn shade(@builtin(position) position: vec4f) -> @location(0) vec4f {
         let toward = frame.east * scene.relief.x + frame.north * scene.relief.y + frame.up * scene.relief.z;
         sunlight = vec3f(max(dot(ground.normal, toward), 0.0));
     } else if air.top > 0.0 {
-        let height = height_along(dot(direction, air.eye_up), distance);
+        let ray = air_ray(direction);
+        let height = air_height(ray, ray.eye + distance);
         sunlight *= sunlight_at(max(height, 0.0), dot(ground.up, scene.sun));
     }
     let seen = color * (scene.ambient + (1.0 - scene.ambient) * sunlight);

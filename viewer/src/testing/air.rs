@@ -25,7 +25,12 @@ fn code(linear: f64) -> f64 {
 }
 
 /// The largest difference in codes between a picture of a level planet and the twin.
-fn worst(body: Ellipsoid, atmosphere: Atmosphere, altitude: f64, pitch: f64, sun: DVec3) -> f64 {
+fn worst(
+    body: Ellipsoid,
+    atmosphere: Atmosphere,
+    [altitude, pitch, fov]: [f64; 3],
+    sun: DVec3,
+) -> f64 {
     let mut planet = Planet::default();
     let degrees = Crs::new(Projection::Geographic, body);
     let outline = Outline { origin: [-180.0, 90.0], pixel_size: [5.0; 2], width: 72, height: 36 };
@@ -34,7 +39,7 @@ fn worst(body: Ellipsoid, atmosphere: Atmosphere, altitude: f64, pitch: f64, sun
     let at = Geographic::from_degrees(Degrees(20.0), Degrees(30.0));
     let (heading, pitch) = (Degrees(50.0).into(), Degrees(pitch).into());
     let pose = Pose::from_eye(&body, at, Meters(altitude), heading, pitch);
-    let view = pose.view(Degrees(60.0).into(), [SIDE; 2], 1.0);
+    let view = pose.view(Degrees(fov).into(), [SIDE; 2], 1.0);
 
     let light = Light { toward_sun: sun, ambient: AMBIENT };
     let options = Options { atmosphere: Some(atmosphere), exposure: 1.5, ..Options::default() };
@@ -76,14 +81,16 @@ fn the_air_is_that_of_the_twin() {
     let mars = Ellipsoid::sphere(Meters(3_396_190.0)).unwrap();
     let zenith = surface_normal(Geographic::from_degrees(Degrees(20.0), Degrees(30.0)));
     let dusk = zenith.any_orthonormal_vector() + 0.05 * zenith;
-    for (name, body, atmosphere, altitude, pitch, sun) in [
-        ("noon", earth, Atmosphere::EARTH, 1000.0, -10.0, zenith + DVec3::Z),
-        ("limb", earth, Atmosphere::EARTH, 400_000.0, -20.0, zenith + DVec3::X),
-        ("dusk", earth, Atmosphere::EARTH, 3000.0, 0.0, dusk),
-        ("mars", mars, Atmosphere::MARS, 2000.0, -5.0, zenith - 0.5 * DVec3::Y),
-        ("disc", mars, Atmosphere::MARS, 9e6, -90.0, dusk),
+    for (name, body, atmosphere, eye, sun) in [
+        ("noon", earth, Atmosphere::EARTH, [1000.0, -10.0, 60.0], zenith + DVec3::Z),
+        ("limb", earth, Atmosphere::EARTH, [400_000.0, -20.0, 60.0], zenith + DVec3::X),
+        ("dusk", earth, Atmosphere::EARTH, [3000.0, 0.0, 60.0], dusk),
+        ("mars", mars, Atmosphere::MARS, [2000.0, -5.0, 60.0], zenith - 0.5 * DVec3::Y),
+        ("disc", mars, Atmosphere::MARS, [9e6, -90.0, 60.0], dusk),
+        ("far disc", mars, Atmosphere::MARS, [1e9, -90.0, 0.5], zenith + dusk),
+        ("far Earth", earth, Atmosphere::EARTH, [1e9, -90.0, 0.9], dusk),
     ] {
-        let off = worst(body, atmosphere, altitude, pitch, sun);
+        let off = worst(body, atmosphere, eye, sun);
         println!("{name}: at most {off:.2} codes");
         assert!(off < 4.0, "{name}: {off}");
     }
