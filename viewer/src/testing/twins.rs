@@ -2,7 +2,7 @@
 
 use areoid_formats::address::Level;
 use areoid_formats::body::Ellipsoid;
-use areoid_formats::geodesy::geographic_from_normal;
+use areoid_formats::geodesy::{Geographic, geographic_from_normal, surface_normal};
 use areoid_formats::grid::{Grid, Outline};
 use areoid_formats::page::Kind;
 use areoid_formats::projection::{Crs, PolarScale, PolarStereographic, Pole, Projection};
@@ -192,6 +192,44 @@ fn places_are_found_to_a_sixteenth_of_a_texel() {
         }
         println!("{name}: worst {worst:.3} of the error allowed, scales {worst_scale:.1e}");
         assert!(worst_scale < 2e-5, "{name}: {worst_scale}");
+    }
+}
+
+/// A map around the body that ends between the poles is not drawn beyond its edges, and up to them.
+#[test]
+fn a_band_ends_at_its_edges() {
+    let body = Ellipsoid::WGS84;
+    let degrees = Crs::new(Projection::Geographic, body);
+    let outline =
+        Outline { origin: [-180.0, 60.0], pixel_size: [0.01; 2], width: 36_000, height: 12_000 };
+    let info = dataset("band", Kind::Height, degrees, outline, 512, 0);
+    let map = DatasetMap::new(&info);
+    let mut random = Random(0xba2d);
+    let (mut asked, mut anchors, mut expected) = (Vec::new(), Vec::new(), Vec::new());
+    while asked.len() < 2_000 {
+        let side = if random.next() < 0.5 { 1.0 } else { -1.0 };
+        let texels = (0.01 + 2.0 * random.next()) * if random.next() < 0.5 { 1.0 } else { -1.0 };
+        let longitude = 360.0 * random.next() - 180.0;
+        let normal_at = |latitude: f64| {
+            surface_normal(Geographic::from_degrees(Degrees(longitude), Degrees(latitude)))
+        };
+        let axes = axes_at(normal_at(side * 59.98));
+        let there = normal_at(side * (60.0 + 0.01 * texels));
+        anchors.extend(map.anchor(0, &axes, 0.5));
+        asked.push(Probe {
+            d: (axes.transpose() * (there - axes.z_axis)).as_vec3().to_array(),
+            r0: axes.y_axis.z as f32,
+            z0: axes.z_axis.z as f32,
+            ..Zeroable::zeroed()
+        });
+        expected.push(texels < 0.0);
+    }
+    let source = [SURFACE, &[PROBE]].concat().join("\n");
+    let mirrored = map.mirrored(&Windows::default(), &Style::default().part("", Kind::Height, 0));
+    let scene = mirror::Scene { equatorial_radius: body.a().0 as f32, ..Zeroable::zeroed() };
+    let answers: Vec<Probe> = compute(gpu(), &source, &scene, &[mirrored], &anchors, &asked);
+    for (answer, is_inside) in answers.iter().zip(expected) {
+        assert_eq!(answer.inside == 1, is_inside, "{:?} {:?}", answer.texel, answer.fraction);
     }
 }
 
