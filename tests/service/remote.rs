@@ -57,14 +57,21 @@ fn what_is_on_the_disk_is_read_without_the_server_and_proven() {
     let near = near(&serving);
     let far = remote.datasets[0].pages.archive();
     assert_same(&near, far);
-    // A damaged block is asked for again.
-    let victim = fs::read_dir(folder.path()).unwrap().next().unwrap().unwrap().path();
-    let mut bytes = fs::read(&victim).unwrap();
-    bytes[100] ^= 1;
-    fs::write(&victim, bytes).unwrap();
+    // Damaged blocks are asked for again, once each; some are read when an archive is opened alone.
+    let mut damaged = 0.0;
+    for victim in fs::read_dir(folder.path()).unwrap() {
+        let victim = victim.unwrap().path();
+        let mut bytes = fs::read(&victim).unwrap();
+        bytes[100] ^= 1;
+        fs::write(&victim, bytes).unwrap();
+        damaged += 1.0;
+    }
     let asked = serving.metric("areoid_requests_total");
     assert_same(&near, far);
-    assert_eq!(serving.metric("areoid_requests_total"), asked + 1.0);
+    let again = serving.metric("areoid_requests_total") - asked;
+    assert!(0.5 * damaged < again && again <= damaged, "{again} requests for {damaged} blocks");
+    assert_same(&near, far);
+    assert_eq!(serving.metric("areoid_requests_total"), asked + again);
     let Serving { place: _place, service } = serving;
     service.stop();
     assert_same(&near, far);
