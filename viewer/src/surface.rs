@@ -1,9 +1,9 @@
 //! The composed surface on the CPU, in f64: what the shaders compute, from the same pages.
 //!
-//! A dataset of heights answers at a place with its finest page in memory, one of colors or normals with
-//! the blend of two neighboring levels, each from the finest page that is not finer than it; the datasets are composed by
-//! [`areoid_formats::compose`]. The renderer takes the heights of patch corners from here, and the
-//! tests the whole picture.
+//! A dataset of heights answers at a place with its finest page in memory, one of colors or normals
+//! with the blend of two neighboring levels, each from the finest page that is not finer than it; the
+//! datasets are composed by [`areoid_formats::compose`]. The renderer takes the heights of patch
+//! corners from here, and the tests the whole picture.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;

@@ -126,7 +126,7 @@ fn table(lines: &[Line]) -> Table {
             line.name.clone(),
             over(usage.pages, usage.pages_seen),
             over(usage.patches, usage.patches_seen),
-            over(usage.visible_pixels, usage.visible_pixels),
+            usage.visible_pixels.to_string(),
             usage.composed_points.to_string(),
             format!("{:.2}", line.fragments()),
             format!("{} / {}", megabytes(line.uploaded_bytes), megabytes(usage.bytes_seen)),

@@ -8,6 +8,7 @@ mod pattern;
 mod pipelines;
 mod renderer;
 mod resident;
+mod scene;
 mod targets;
 mod usage;
 

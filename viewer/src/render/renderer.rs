@@ -19,17 +19,17 @@ use super::options::{FrameStatistics, Image, Light, Options};
 use super::pattern::Pattern;
 use super::pipelines::Pipelines;
 use super::resident::{Brought, Clock, Resident};
+use super::scene::scene_of;
 use super::targets::{Targets, read_buffer, read_texture};
 use super::usage::Usage;
 use crate::atmosphere::Air;
-use crate::camera::pixel_angle;
 use crate::gpu::Gpu;
 use crate::mesh::detail::{Detail, SEGMENTS};
 use crate::mesh::patches::{Mesh, POINT_BYTES};
 use crate::mirror;
 use crate::pick::{Picked, pick};
-use crate::style::{Ramp, Style};
-use crate::surface::{BARE_COLOR, Surface};
+use crate::style::Style;
+use crate::surface::Surface;
 
 /// Meters to the near plane where terrain may be about the eye.
 const NEAR_M: f64 = 0.05;
@@ -260,43 +260,14 @@ impl Renderer {
         Some(brought)
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "angles, factors and the body's radius")]
+    #[expect(clippy::cast_possible_truncation, reason = "a distance, and counts")]
     fn write_scene(&mut self, view: &View, light: &Light, options: &Options) {
-        let tangent = (view.vertical_fov.0 / 2.0).tan();
-        let aspect = f64::from(view.viewport[0]) / f64::from(view.viewport[1]);
-        let axis = |axis: DVec3| axis.as_vec3().to_array();
-        let (ramp, ramp_stops) = mirrored_ramp(options.style.ramp.as_ref());
         let scene = mirror::Scene {
-            right: axis(view.orientation.x_axis),
-            focal_x: (1.0 / (tangent * aspect)) as f32,
-            up: axis(view.orientation.y_axis),
-            focal_y: (1.0 / tangent) as f32,
-            backward: axis(view.orientation.z_axis),
             near: self.near_m(view) as f32,
-            sun: axis(light.toward_sun.normalize()),
-            ambient: light.ambient as f32,
-            background: options.background.map(|code| f32::from(code) / 255.0),
-            exaggeration: options.vertical_exaggeration as f32,
-            viewport: view.viewport,
-            equatorial_radius: self.ellipsoid.a().0 as f32,
-            eccentricity2: self.ellipsoid.eccentricity_squared() as f32,
-            bare: BARE_COLOR.map(|code| (code / 255.0) as f32),
-            pixel_angle: pixel_angle(view) as f32,
-            ramp,
-            ramp_stops,
-            ramp_opacity: options.style.ramp.as_ref().map_or(0.0, |ramp| ramp.opacity as f32),
-            anisotropy: options.anisotropy.min(16) as i32,
-            exposure: options.exposure as f32,
-            relief: options.relief.map_or([0.0; 3], |relief| {
-                let (sin_azimuth, cos_azimuth) = relief.azimuth.0.sin_cos();
-                let (up, across) = relief.elevation.0.sin_cos();
-                axis(DVec3::new(sin_azimuth * across, cos_azimuth * across, up))
-            }),
-            debug: options.debug as u32,
             slot_bounds: self.resident.slot_bounds,
-            tolerance_px: view.tolerance_px as f32,
             edges: self.mesh.edges.len() as u32,
             patches: self.mesh.patches.len() as u32,
+            ..scene_of(view, &self.ellipsoid, light, options)
         };
         let gpu = &self.gpu;
         gpu.queue.write_buffer(&self.scene, 0, bytemuck::bytes_of(&scene));
@@ -471,18 +442,6 @@ impl Renderer {
         }
         gpu.queue.submit([encoder.finish()]);
     }
-}
-
-/// Colors and heights of a ramp, and how many there are.
-#[expect(clippy::cast_possible_truncation, reason = "a ramp has at most 16 stops")]
-fn mirrored_ramp(ramp: Option<&Ramp>) -> ([[f32; 4]; Ramp::MOST_STOPS], u32) {
-    let mut mirrored = [[0.0; 4]; Ramp::MOST_STOPS];
-    let stops = ramp.map_or(&[][..], |ramp| &ramp.stops);
-    for (to, stop) in mirrored.iter_mut().zip(stops) {
-        let [red, green, blue] = stop.color.map(|code| f32::from(code) / 255.0);
-        *to = [red, green, blue, stop.height_m];
-    }
-    (mirrored, stops.len().min(Ramp::MOST_STOPS) as u32)
 }
 
 fn fixed(gpu: &Gpu, label: &str, bytes: usize) -> wgpu::Buffer {

@@ -72,7 +72,8 @@ pub(crate) fn compute<T: Pod>(
     bytemuck::cast_slice(&read_buffer(gpu, &probes)).to_vec()
 }
 
-/// The bytes that the entry point `probe` writes at `group(2) binding(0)`, beside the bound groups 0, 1 and 3.
+/// The bytes that the entry point `probe` writes at `group(2) binding(0)`, beside the bound groups 0,
+/// 1 and 3.
 pub(crate) fn probe(
     gpu: &Gpu,
     source: &str,

@@ -30,17 +30,18 @@ fn from_above(axis: vec3f, frame: Frame, up: vec3f) -> vec3f {
 // The footprint of a pixel that looks in `direction` at ground with this normal, where the reference
 // surface has `up`; all units.
 fn footprint_of(frame: Frame, direction: vec3f, normal: vec3f, up: vec3f, pixel_m: f32) -> Footprint {
+    if scene.anisotropy == 0 {
+        return Footprint(vec3f(0.0), 1, pixel_m);
+    }
     let sideways = cross(normal, direction);
     let facing = max(abs(dot(normal, direction)), LEAST_FACING);
     let across = sideways / max(length(sideways), 1e-6);
     let p = from_above(across, frame, up);
     let q = from_above(cross(across, normal) / facing, frame, up);
-    let turn = 0.5 * atan2(2.0 * dot(p, q), dot(p, p) - dot(q, q));
+    // Of a circle any axis is the longest; WGSL has no angle for two zeros.
+    let turn = 0.5 * atan2(2.0 * dot(p, q), dot(p, p) - dot(q, q) + 1e-12);
     let longest = cos(turn) * p + sin(turn) * q;
     let ratio = length(longest);
-    if scene.anisotropy == 0 {
-        return Footprint(vec3f(0.0), 1, pixel_m);
-    }
     let samples = clamp(i32(round(ratio)), 1, scene.anisotropy);
     let sample_m = pixel_m * max(ratio / f32(scene.anisotropy), 1.0);
     return Footprint(longest * (pixel_m / scene.equatorial_radius), samples, sample_m);

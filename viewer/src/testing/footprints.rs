@@ -87,11 +87,19 @@ fn a_footprint_is_a_cone_cut_by_the_ground() {
             Probe { direction, normal, up, ..Probe::zeroed() }
         })
         .collect();
+    let mut probes = probes;
+    // Straight down on level ground, where nothing is the longest.
+    let (direction, normal, up) = ([0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]);
+    probes.push(Probe { direction, normal, up, ..Probe::zeroed() });
     let scene = mirror::Scene { equatorial_radius: 1.0, anisotropy: 8, ..Zeroable::zeroed() };
     let source = Program::Shade.source() + PROBE;
     let datasets = [mirror::Dataset::zeroed()];
     let anchors = [mirror::Anchor::zeroed()];
     let found = compute(gpu(), &source, &scene, &datasets, &anchors, &probes);
+    let below = found[asked.len()];
+    assert!(
+        Vec3::from_array(below.axis).length() < 1.1 && (below.samples, below.sample_m) == (1, 1.0)
+    );
     let (mut many, mut wide) = (0, 0);
     for (probe, [direction, normal, up]) in found.iter().zip(asked) {
         let axis = Vec3::from_array(probe.axis).as_dvec3();
