@@ -14,6 +14,7 @@ use crate::store::{PageName, Request, Store, Work};
 pub(crate) struct Match {
     pub(crate) pages: Vec<Arc<ResidentPage>>,
     pub(crate) roots: Vec<Arc<ResidentPage>>,
+    pub(crate) beneath: Vec<Arc<ResidentPage>>,
     pub(crate) missing: usize,
     pub(crate) failed: Vec<FailedPage>,
     /// The largest error of `pages`; infinite where there is none for a wanted one.
@@ -26,6 +27,8 @@ pub(crate) struct Matcher {
     /// By place in [`Found::seen`].
     marks: Vec<Mark>,
     needs: Vec<(usize, Work)>,
+    /// Whether pages are asked for that show beneath others.
+    pub(crate) blends: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -112,6 +115,21 @@ impl Matcher {
                 result.error_px = f64::INFINITY;
             }
         }
+        for &place in self.beneath(found) {
+            if self.marks[place].used {
+                continue;
+            }
+            let name = found.seen[place].name(scene);
+            if let Some(page) = store.touch(name) {
+                // Where it shows its error is within the tolerance.
+                let most_px = found.seen[place].pixels.min(found.tolerance_px);
+                result.error_px = result.error_px.max(most_px);
+                result.beneath.push(page);
+            } else if store.error(Work::Texels(name)).is_none() {
+                result.missing += 1;
+                self.ask(place, name);
+            }
+        }
         self.ask_for_few(scene, found, store);
         for &place in &found.unindexed {
             let name = found.seen[place].name(scene);
@@ -123,7 +141,9 @@ impl Matcher {
                 }
             }
         }
-        result.pages.sort_unstable_by_key(|page| (page.entry.page, page.dataset));
+        for pages in [&mut result.pages, &mut result.beneath] {
+            pages.sort_unstable_by_key(|page| (page.entry.page, page.dataset));
+        }
         self.end(scene, found, requests);
         result
     }
@@ -157,7 +177,7 @@ impl Matcher {
         requests: &mut Vec<Request>,
     ) {
         self.begin(found);
-        for &place in &found.wanted {
+        for &place in found.wanted.iter().chain(self.beneath(found)) {
             let name = found.seen[place].name(scene);
             if !store.holds(name) && store.error(Work::Texels(name)).is_none() {
                 self.ask(place, name);
@@ -167,6 +187,10 @@ impl Matcher {
             self.needs.push((place, Work::Children(found.seen[place].name(scene))));
         }
         self.end(scene, found, requests);
+    }
+
+    fn beneath<'a>(&self, found: &'a Found) -> &'a [usize] {
+        if self.blends { &found.beneath } else { &[] }
     }
 
     fn begin(&mut self, found: &Found) {

@@ -9,6 +9,10 @@
 //! Several views, of two eyes or of a wall's tiles, make one search: a page is as bad as it is in
 //! the view that it is worst in.
 //!
+//! Between a page and its children a picture changes bit by bit: the page is *beneath* them, and
+//! shows where its own error is not much above the tolerance. Where all of what is seen of it is nearer
+//! than that, it is not needed.
+//!
 //! Bounds and volumes nest, boxes do not: distances are kept at least as favorable as the parent's, so
 //! that errors fall from parent to child and the order above is one.
 //!
@@ -55,6 +59,8 @@ pub(crate) struct Found {
     pub(crate) wanted: Vec<usize>,
     /// The wanted ones whose children are not known yet.
     pub(crate) unindexed: Vec<usize>,
+    /// Ancestors of the wanted ones that show beneath them, as places in `seen`.
+    pub(crate) beneath: Vec<usize>,
     pub(crate) tolerance_px: f64,
     pub(crate) visited: usize,
     pub(crate) culled: usize,
@@ -64,6 +70,9 @@ pub(crate) struct Found {
     root_sights: Vec<Sight>,
     heap: BinaryHeap<Candidate>,
     lenses: Vec<Lens>,
+    /// Pages that gave way to their children, and their least error where they are seen, over the
+    /// largest with which they still show.
+    refined: Vec<(usize, f64)>,
 }
 
 /// What is next: a page to give way to its children, a root to be drawn at all, or datasets to be
@@ -158,6 +167,8 @@ pub(crate) fn search(
         }
     }
     search.drop_unseen(memo, found);
+    let shows = |&&(_, pixels): &&(usize, f64)| pixels < found.tolerance_px;
+    found.beneath.extend(found.refined.iter().filter(shows).map(|(place, _)| place));
     memo.end();
     lenses.clear();
     found.lenses = lenses;
@@ -175,6 +186,11 @@ impl Search<'_> {
 
     /// How often the sides of the last parts are halved for that.
     const HALVINGS: u32 = 3;
+
+    /// Pixels to a texel up to which a page of colors shows, to a pixel of tolerance. Its children begin
+    /// to at 1, and it is gone at 2 where a pixel's footprint is round, and where it is longer than
+    /// its samples reach, at eight times that.
+    const WIDEST_TEXEL: f64 = 16.0;
 
     /// Puts a branch of the tree over the datasets among what is to come, by the largest that one of
     /// its datasets can be on the screen.
@@ -296,10 +312,32 @@ impl Search<'_> {
             return;
         }
         *bytes += more;
+        let least = self.least(&parent, dataset.info.kind, first, found);
+        found.refined.push((place, least));
         for place in first..found.seen.len() {
             let pixels = found.seen[place].pixels;
             found.heap.push(Candidate { pixels, place, step: Step::Refine });
         }
+    }
+
+    /// The least error of a page where its children, from `first` on in `seen`, are seen, over the
+    /// largest with which it still shows.
+    fn least(&self, parent: &Seen, kind: Kind, first: usize, found: &Found) -> f64 {
+        let widest = match kind {
+            Kind::Height => View::BLENDED,
+            Kind::Color | Kind::Normal => Self::WIDEST_TEXEL,
+        };
+        let mut least = f64::INFINITY;
+        for (place, child) in found.seen.iter().enumerate().skip(first) {
+            for (number, (lens, view)) in self.lenses.iter().zip(self.views).enumerate() {
+                if found.sights[place * self.lenses.len() + number].is_seen() {
+                    let scale = self.views[0].tolerance_px / view.tolerance_px;
+                    let reach = lens.farthest(&child.node.volume);
+                    least = least.min(lens.pixels(parent.error_m, reach) * scale);
+                }
+            }
+        }
+        least / widest
     }
 
     /// Drops wanted pages of which no part is in sight: at the rim of the picture, a box reaches around
@@ -427,7 +465,10 @@ impl Search<'_> {
 
 impl Found {
     fn clear(&mut self) {
-        let Self { seen, wanted, unindexed, sights, roots, root_sights, heap, .. } = self;
+        let Self { seen, wanted, unindexed, beneath, refined, .. } = self;
+        beneath.clear();
+        refined.clear();
+        let Self { sights, roots, root_sights, heap, .. } = self;
         seen.clear();
         wanted.clear();
         unindexed.clear();

@@ -122,7 +122,7 @@ pub struct FailedPage {
 /// The answer to a view, or to several at once.
 #[derive(Debug)]
 pub struct Selection {
-    /// Changes whenever `pages`, `roots` or `datasets` do, within a session.
+    /// Changes whenever `pages`, `roots`, `beneath` or `datasets` do, within a session.
     pub generation: u64,
     /// How often the cache's datasets had changed: which of its states is drawn.
     pub scene: u64,
@@ -134,6 +134,10 @@ pub struct Selection {
     /// The coarsest pages of the datasets that `pages` belong to, where they are in memory and not
     /// among `pages`: for a viewer that has no room, or no time yet, for all of those.
     pub roots: Vec<Arc<ResidentPage>>,
+    /// Coarser pages over which `pages` show bit by bit, for a viewer in which nothing pops; only if
+    /// [`Session::blends`](crate::Session::blends) asks for them. Where one is missing, none other
+    /// stands in.
+    pub beneath: Vec<Arc<ResidentPage>>,
     /// Pages that the view wants and that may still come.
     pub missing: usize,
     /// Pages that the view wants and that cannot be read. Their ancestors stand in for them.

@@ -46,6 +46,8 @@ pub struct Session {
     hidden: Hidden,
     /// Whether pages are loaded that are only expected to be needed; so at first.
     pub look_ahead: bool,
+    /// Whether [`Selection::beneath`] is asked for: a third more pages at most. Not so at first.
+    pub blends: bool,
     last: Arc<Selection>,
     /// What the last views wanted, sorted; and room for the next.
     wanted: [Vec<PageName>; 2],
@@ -87,6 +89,7 @@ impl Session {
             datasets: Datasets::default(),
             pages: Vec::new(),
             roots: Vec::new(),
+            beneath: Vec::new(),
             missing: 0,
             failed: Vec::new(),
             tolerance_px: f64::INFINITY,
@@ -107,6 +110,7 @@ impl Session {
             ahead: (None, Found::default()),
             hidden: Hidden::default(),
             look_ahead: true,
+            blends: false,
             last,
             wanted: [Vec::new(), Vec::new()],
             numbers: Vec::new(),
@@ -249,6 +253,7 @@ impl Session {
     /// Turns what was found into a selection and into requests.
     fn select(&mut self, store: &mut Store, now: Instant) {
         let mut requests = Vec::new();
+        self.matcher.blends = self.blends;
         let Showing { scene, found } = &self.shown;
         let mut matched = self.matcher.compare(scene, found, store, &mut requests);
         if let Some((since, next)) = &self.next {
@@ -266,7 +271,7 @@ impl Session {
             }
         }
         let Showing { found, .. } = &self.shown;
-        let Match { pages, roots: mut pinned, missing, failed, mut error_px } = matched;
+        let Match { pages, roots: mut pinned, beneath, missing, failed, mut error_px } = matched;
         let stats = &mut store.stats;
         stats.hits += (found.wanted.len() - missing.min(found.wanted.len())) as u64;
         stats.misses += missing as u64;
@@ -284,7 +289,9 @@ impl Session {
         }
         let before = &self.last;
         let roots = roots_beside(&pages, store.roots(self.number));
-        let same_pages = are_same(&before.pages, &pages) && are_same(&before.roots, &roots);
+        let same_pages = are_same(&before.pages, &pages)
+            && are_same(&before.roots, &roots)
+            && are_same(&before.beneath, &beneath);
         self.numbers.clear();
         self.numbers.extend(pages.iter().map(|page| page.dataset));
         self.numbers.extend(failed.iter().map(|failed| failed.dataset));
@@ -306,6 +313,7 @@ impl Session {
             datasets,
             pages,
             roots,
+            beneath,
             missing,
             failed,
             tolerance_px: found.tolerance_px,
@@ -328,7 +336,9 @@ impl Session {
         let Showing { scene, found } = &self.shown;
         let [before, now] = &mut self.wanted;
         now.clear();
-        now.extend(found.wanted.iter().map(|&place| found.seen[place].name(scene)));
+        let beneath = if self.blends { &found.beneath[..] } else { &[] };
+        let places = found.wanted.iter().chain(beneath);
+        now.extend(places.map(|&place| found.seen[place].name(scene)));
         now.sort_unstable();
         for name in now.iter().filter(|name| before.binary_search(name).is_err()) {
             store.stats.first_wanted += 1;

@@ -21,6 +21,10 @@ pub struct View {
 }
 
 impl View {
+    /// How many times the tolerance the error of a height page is where its children show alone. From
+    /// the tolerance on they show more and more, and it less.
+    pub const BLENDED: f64 = 1.25;
+
     /// The direction the camera looks in, a unit vector in body-fixed space.
     #[must_use]
     pub fn axis(&self) -> DVec3 {
@@ -160,6 +164,13 @@ impl Lens {
             return f64::INFINITY;
         }
         (along - under_root.max(0.0).sqrt() - SLACK * height2.sqrt()).max(0.0)
+    }
+
+    /// At most how far from the eye a page is where it is seen.
+    pub(crate) fn farthest(&self, volume: &Volume) -> f64 {
+        let beyond = volume.bounds().farthest_from(self.eye);
+        let seen = self.horizon.map(|horizon| horizon.farthest_seen(volume.greatest_radius()).0);
+        seen.map_or(beyond, |seen| seen.min(beyond))
     }
 
     /// Whether all of a page is in the picture, or behind the body.

@@ -153,6 +153,13 @@ impl OrientedBox {
         (eye_in_box.abs() - self.half).max(DVec3::ZERO).length()
     }
 
+    /// How far away the farthest point of the box is.
+    #[must_use]
+    pub fn farthest_from(&self, eye: DVec3) -> f64 {
+        let eye_in_box = self.axes.transpose_mul_vec3(eye - self.center);
+        (eye_in_box.abs() + self.half).length()
+    }
+
     /// The greatest `direction · p` over the points of the box.
     #[must_use]
     pub fn farthest_along(&self, direction: DVec3) -> f64 {

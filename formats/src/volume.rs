@@ -85,6 +85,14 @@ impl Horizon {
         self.plane - self.sine * over
     }
 
+    /// How far from the eye at most anything is seen that is no farther than `greatest_radius` from
+    /// the body's center: along the line that touches the sphere.
+    #[must_use]
+    pub fn farthest_seen(&self, greatest_radius: Meters) -> Meters {
+        let over = |radius: f64| (radius * radius - self.radius2).max(0.0).sqrt();
+        Meters(over(self.radius2 / self.plane) + over(greatest_radius.0))
+    }
+
     /// The half space that holds whatever may be seen of things no farther than `greatest_radius`
     /// from the body's center.
     #[must_use]

@@ -33,7 +33,8 @@ pub(super) struct CacheHost {
 
 impl CacheHost {
     pub(super) fn new(cache: Cache, folder: Option<PathBuf>) -> Self {
-        let session = cache.session();
+        let mut session = cache.session();
+        session.blends = true;
         Self { cache, session, folder, insertions: Arc::default() }
     }
 }

@@ -22,6 +22,8 @@ pub mod atmosphere;
 
 mod shader;
 
+mod blend;
+
 pub mod surface;
 
 pub mod pick;

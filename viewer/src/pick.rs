@@ -6,7 +6,7 @@ use areoid_formats::geodesy::Geographic;
 use areoid_formats::page::Kind;
 use glam::DVec3;
 
-use crate::camera::pixel_angle;
+use crate::blend::Vantage;
 use crate::surface::{Surface, SurfacePoint};
 
 /// A place of the surface drawn.
@@ -38,10 +38,11 @@ pub fn pick(
     pixel: [f64; 2],
 ) -> Option<Picked> {
     let direction = direction_of(view, pixel);
+    let vantage = Vantage::new(view, exaggeration);
     let height_at = |distance_m: f64| {
         let point = view.eye + distance_m * direction;
         let (place, altitude) = ellipsoid.geographic_from_cartesian(point);
-        let found = surface.compose(Kind::Height, place, distance_m * pixel_angle(view));
+        let found = surface.height_seen(place, &vantage);
         let height_m = found.map_or(0.0, |found| exaggeration * found.value[0]);
         (altitude.0 - height_m, place)
     };

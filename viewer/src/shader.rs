@@ -10,6 +10,7 @@ pub(crate) const SURFACE: &[&str] = &[
     include_str!("shader/map.wgsl"),
     include_str!("shader/page_table.wgsl"),
     include_str!("shader/texels.wgsl"),
+    include_str!("shader/blend.wgsl"),
     include_str!("shader/compose.wgsl"),
     include_str!("shader/patch.wgsl"),
 ];

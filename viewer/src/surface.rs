@@ -1,20 +1,23 @@
 //! The composed surface on the CPU, in f64: what the shaders compute, from the same pages.
 //!
-//! A dataset of heights answers at a place with its finest page in memory, one of colors or normals
-//! with the blend of two neighboring levels, each from the finest page that is not finer than it; the
-//! datasets are composed by [`areoid_formats::compose`]. The renderer takes the heights of patch
-//! corners from here, and the tests the whole picture.
+//! A dataset of heights answers at a place with its finest page in memory, over coarser ones where a
+//! view is known and their error would do; one of colors or normals with the blend of two neighboring
+//! levels, each from the finest page that is not finer than it; the datasets are composed by
+//! [`areoid_formats::compose`]. The renderer takes the heights of patch corners from here, and the
+//! tests the whole picture.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use areoid_cache::{Datasets, ResidentPage, Selection};
+use areoid_cache::{Datasets, ResidentPage, Selection, View};
 use areoid_formats::address::{Level, PageAddress, PageKey};
 use areoid_formats::compose::{Layer, compose};
 use areoid_formats::geodesy::Geographic;
 use areoid_formats::grid::TexelPoint;
 use areoid_formats::page::{Kind, Reconstruction};
+use areoid_formats::units::Meters;
 
+use crate::blend::{Vantage, share_of_finer};
 use crate::style::{Part, Plane, Ramp, Style, with_luminance_of};
 
 /// sRGB codes where no dataset has colors.
@@ -32,6 +35,16 @@ pub struct Surface {
     /// Datasets that take part and have a page at all.
     present: Vec<(usize, Part)>,
     ramp: Option<Ramp>,
+    /// Where it is seen from.
+    vantage: Option<Vantage>,
+}
+
+/// A page's answer.
+#[derive(Clone, Copy, Debug)]
+struct Answer {
+    found: Reconstruction,
+    bound: f64,
+    level: f64,
 }
 
 /// A composed value of a surface.
@@ -63,7 +76,8 @@ impl Surface {
             let name = |page: &ResidentPage| (page.dataset, PageKey::from(page.entry.page));
             pages.iter().map(|page| (name(page), Arc::clone(page))).collect()
         };
-        let pages = by_name(&selection.pages);
+        let mut pages = by_name(&selection.pages);
+        pages.extend(by_name(&selection.beneath));
         let mut numbers: Vec<usize> = pages.keys().map(|&(dataset, _)| dataset).collect();
         numbers.sort_unstable();
         numbers.dedup();
@@ -80,7 +94,13 @@ impl Surface {
             *level = page.entry.page.level.0.max(*level);
         }
         let (datasets, ramp) = (selection.datasets.clone(), style.ramp.clone());
-        Self { datasets, pages, roots, deepest, present, ramp }
+        Self { datasets, pages, roots, deepest, present, ramp, vantage: None }
+    }
+
+    /// The surface that a view shows: within its tolerance, coarser pages show for finer ones.
+    #[must_use]
+    pub fn seen_from(self, view: &View, exaggeration: f64) -> Self {
+        Self { vantage: Some(Vantage::new(view, exaggeration)), ..self }
     }
 
     /// The composition of all datasets of `kind`, seen at `footprint_m` ground meters to a sample:
@@ -97,7 +117,16 @@ impl Surface {
             Kind::Color => Plane::Colors,
             Kind::Normal => Plane::Normals,
         };
-        self.compose_plane(plane, position, footprint_m)
+        self.compose_plane(plane, position, footprint_m, self.vantage.as_ref())
+    }
+
+    /// The composed height that a view shows.
+    pub(crate) fn height_seen(
+        &self,
+        position: Geographic,
+        vantage: &Vantage,
+    ) -> Option<SurfacePoint> {
+        self.compose_plane(Plane::Heights, position, 0.0, Some(vantage))
     }
 
     /// The sRGB codes of the ground, unlit: the colors over the ground's own, the ramp over them, and
@@ -107,7 +136,8 @@ impl Surface {
         let over = |below: [f64; 3], above: [f64; 3], opacity: f64| -> [f64; 3] {
             std::array::from_fn(|i| below[i] + (above[i] - below[i]) * opacity)
         };
-        let of_plane = |plane| self.compose_plane(plane, position, footprint_m);
+        let vantage = self.vantage.as_ref();
+        let of_plane = |plane| self.compose_plane(plane, position, footprint_m, vantage);
         let mut color = BARE_COLOR;
         if let Some(found) = of_plane(Plane::Colors) {
             color = over(color, found.value, found.opacity);
@@ -128,15 +158,22 @@ impl Surface {
         plane: Plane,
         position: Geographic,
         footprint_m: f64,
+        vantage: Option<&Vantage>,
     ) -> Option<SurfacePoint> {
         let mut layers = Vec::with_capacity(self.present.len());
         let mut levels = Vec::with_capacity(self.present.len());
         for &(dataset, part) in self.present.iter().filter(|(_, part)| part.plane == plane) {
             let info = &self.datasets[dataset];
-            let wanted = self.wanted(dataset, plane, position, footprint_m);
-            let Some((found, bound, level)) = self.blend(dataset, position, wanted) else {
-                continue;
+            let answer = match (plane, vantage) {
+                (Plane::Heights, Some(vantage)) => {
+                    self.heights(dataset, position, vantage, &mut Vec::new())
+                }
+                _ => {
+                    let wanted = self.wanted(dataset, plane, position, footprint_m);
+                    self.blend(dataset, position, wanted)
+                }
             };
+            let Some(Answer { found, bound, level }) = answer else { continue };
             let quality = info.grid.quality(position);
             let (coverage, value) = (found.coverage, found.value);
             let (priority, weight, series) = (part.priority, part.weight, part.series);
@@ -168,16 +205,20 @@ impl Surface {
             return finest;
         }
         let (largest, _) = grid.crs().principal_scales(position, grid.pixel_size());
+        let tolerance_px = self.vantage.map_or(1.0, |vantage| vantage.tolerance_px.max(1.0));
+        let footprint_m = footprint_m * tolerance_px;
         (finest - (footprint_m / largest).log2().max(0.0)).max(0.0)
     }
 
-    /// Adds the pages from which the values of a place are made.
+    /// Adds the pages from which the values of a place are made, as a view shows them.
     pub(crate) fn read_at(
         &self,
         position: Geographic,
         footprint_m: f64,
+        vantage: &Vantage,
         read: &mut HashSet<(usize, PageAddress)>,
     ) {
+        let mut pages = Vec::new();
         for plane in Plane::ALL {
             let mut parts: Vec<_> =
                 self.present.iter().filter(|(_, part)| part.plane == plane).collect();
@@ -188,30 +229,67 @@ impl Surface {
                     break;
                 }
                 for &&(dataset, part) in same {
-                    let wanted = self.wanted(dataset, plane, position, footprint_m);
                     let grid = &self.datasets[dataset].grid;
                     let Some(place) = grid.locate(grid.pyramid().finest(), position) else {
                         continue;
                     };
-                    let [coarse, fine] = [wanted.floor(), wanted.ceil()]
-                        .map(|level| self.sample(dataset, place, level_of(level)));
-                    for (_, page) in coarse.iter().chain(&fine) {
-                        read.insert((dataset, page.entry.page));
-                    }
-                    let coverage = fine.map_or(0.0, |(found, _)| found.coverage * part.weight);
+                    let answer = if plane == Plane::Heights {
+                        self.heights(dataset, position, vantage, &mut pages)
+                    } else {
+                        let wanted = self.wanted(dataset, plane, position, footprint_m);
+                        let [coarse, fine] = [wanted.floor(), wanted.ceil()]
+                            .map(|level| self.sample(dataset, place, level_of(level)));
+                        pages.extend(coarse.iter().chain(&fine).map(|(_, page)| *page));
+                        fine.map(|(answer, _)| answer)
+                    };
+                    read.extend(pages.drain(..).map(|page| (dataset, page.entry.page)));
+                    let coverage = answer.map_or(0.0, |answer| answer.found.coverage * part.weight);
                     clear *= 1.0 - coverage.clamp(0.0, 1.0);
                 }
             }
         }
     }
 
-    /// The blend of the two levels about `wanted`, with its bound and the level it comes from.
-    fn blend(
-        &self,
+    /// What a view shows of a dataset of heights: `shader/compose.wgsl`, `read_heights`. The pages that it
+    /// is made from are added to `made_from`.
+    fn heights<'a>(
+        &'a self,
         dataset: usize,
         position: Geographic,
-        wanted: f64,
-    ) -> Option<(Reconstruction, f64, f64)> {
+        vantage: &Vantage,
+        made_from: &mut Vec<&'a ResidentPage>,
+    ) -> Option<Answer> {
+        let grid = &self.datasets[dataset].grid;
+        let place = grid.locate(grid.pyramid().finest(), position)?;
+        let (mut answer, page) = self.find(dataset, place, grid.pyramid().finest())?;
+        let first = made_from.len();
+        made_from.push(page);
+        let height = Meters(vantage.exaggeration * answer.found.value[0]);
+        let point = grid.crs().body.cartesian_from_geographic(position, height);
+        let tolerance_m = vantage.tolerance_m_at(point);
+        let mut own = page.entry.page.level;
+        while let Some(level) = own.0.checked_sub(1).map(Level) {
+            let beneath = self.find(dataset, place, level);
+            let Some((below, page)) = beneath.filter(|(_, page)| page.entry.page.level < own)
+            else {
+                break;
+            };
+            let share = share_of_finer(below.bound / tolerance_m, answer.bound / tolerance_m);
+            if share >= 1.0 {
+                break;
+            }
+            if share == 0.0 {
+                made_from.truncate(first);
+            }
+            made_from.push(page);
+            answer = over(below, answer, share);
+            own = page.entry.page.level;
+        }
+        (answer.found.coverage > 0.0).then_some(answer)
+    }
+
+    /// The blend of the two levels about `wanted`.
+    fn blend(&self, dataset: usize, position: Geographic, wanted: f64) -> Option<Answer> {
         let grid = &self.datasets[dataset].grid;
         let finest = grid.pyramid().finest();
         let place = grid.locate(finest, position)?;
@@ -219,39 +297,46 @@ impl Surface {
         let fine = self.sample(dataset, place, upper);
         let toward_coarse = f64::from(upper.0) - wanted;
         if toward_coarse == 0.0 {
-            return fine.map(|(found, page)| {
-                let level = f64::from(page.entry.page.level.0);
-                (found, f64::from(page.entry.bound), level)
-            });
+            return fine.map(|(answer, _)| answer);
         }
         let coarse = self.sample(dataset, place, Level(upper.0 - 1));
-        let level_of = |page: &ResidentPage| wanted.min(f64::from(page.entry.page.level.0));
+        let level_of = |answer: &Answer| wanted.min(answer.level);
         match (fine, coarse) {
-            (Some((mut found, page)), Some((other, other_page))) => {
+            (Some((Answer { mut found, bound, .. }, page)), Some((other, _))) => {
                 let mix = |a: f64, b: f64| a + (b - a) * toward_coarse;
-                for (value, &other) in found.value.iter_mut().zip(&other.value) {
+                for (value, &other) in found.value.iter_mut().zip(&other.found.value) {
                     *value = mix(*value, other);
                 }
-                found.coverage = mix(found.coverage, other.coverage);
-                found.valid_weight = mix(found.valid_weight, other.valid_weight);
-                let bound = mix(f64::from(page.entry.bound), f64::from(other_page.entry.bound));
-                Some((found, bound, level_of(page)))
+                found.coverage = mix(found.coverage, other.found.coverage);
+                found.valid_weight = mix(found.valid_weight, other.found.valid_weight);
+                let level = wanted.min(f64::from(page.entry.page.level.0));
+                Some(Answer { found, bound: mix(bound, other.bound), level })
             }
-            (Some((found, page)), None) | (None, Some((found, page))) => {
-                Some((found, f64::from(page.entry.bound), level_of(page)))
+            (Some((answer, _)), None) | (None, Some((answer, _))) => {
+                Some(Answer { level: level_of(&answer), ..answer })
             }
             (None, None) => None,
         }
     }
 
-    /// The finest page in memory at most as fine as `level`, or else the coarsest that is finer, or else
-    /// the root, read at a place of the finest level.
+    /// [`Self::find`], where that page has a value.
     fn sample(
         &self,
         dataset: usize,
         place: TexelPoint,
         level: Level,
-    ) -> Option<(Reconstruction, &ResidentPage)> {
+    ) -> Option<(Answer, &ResidentPage)> {
+        self.find(dataset, place, level).filter(|(answer, _)| answer.found.coverage > 0.0)
+    }
+
+    /// The finest page in memory at most as fine as `level`, or else the coarsest that is finer, or else
+    /// the root, read at a place of the finest level; of no coverage where it has no value.
+    fn find(
+        &self,
+        dataset: usize,
+        place: TexelPoint,
+        level: Level,
+    ) -> Option<(Answer, &ResidentPage)> {
         let grid = &self.datasets[dataset].grid;
         let window_at = |level| {
             let halvings = grid.pyramid().halvings(level);
@@ -271,7 +356,10 @@ impl Surface {
             Some((window, page.as_ref()))
         };
         let (window, page) = found.or_else(root)?;
-        page.page.reconstruct(window.x, window.y).map(|found| (found, page))
+        let nothing = Reconstruction { value: [0.0; 3], coverage: 0.0, valid_weight: 0.0 };
+        let found = page.page.reconstruct(window.x, window.y).unwrap_or(nothing);
+        let (bound, level) = (page.entry.bound, page.entry.page.level.0);
+        Some((Answer { found, bound: f64::from(bound), level: f64::from(level) }, page))
     }
 
     fn page(&self, dataset: usize, page: PageAddress) -> Option<&ResidentPage> {
@@ -303,6 +391,22 @@ impl Surface {
             (low.min(f64::from(page.entry.lowest)), high.max(f64::from(page.entry.highest)))
         })
     }
+}
+
+/// The finer answer over the coarser one by its share; either counts as far as it covers the place.
+fn over(coarser: Answer, finer: Answer, share: f64) -> Answer {
+    let mix = |a: f64, b: f64| a + (b - a) * share;
+    let (below, above) = (coarser.found, finer.found);
+    let coverage = mix(below.coverage, above.coverage);
+    let part = if coverage > 0.0 { share * above.coverage / coverage } else { share };
+    let value = |i: usize| below.value[i] + (above.value[i] - below.value[i]) * part;
+    let found = Reconstruction {
+        value: std::array::from_fn(value),
+        coverage,
+        valid_weight: mix(below.valid_weight, above.valid_weight),
+    };
+    let (bound, level) = (mix(coarser.bound, finer.bound), mix(coarser.level, finer.level));
+    Answer { found, bound, level }
 }
 
 #[expect(

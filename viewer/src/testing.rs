@@ -80,7 +80,8 @@ impl Planet {
                     max: highest,
                     lowest,
                     highest,
-                    bound: 0.0,
+                    // Nobody proves it: coarser pages are never as good.
+                    bound: if level == pyramid.finest() { 0.0 } else { 1e9 },
                     source_error: 0.0,
                     full: page.coverage().is_none(),
                 };
@@ -102,6 +103,7 @@ impl Planet {
             pages,
             missing: 0,
             roots: Vec::new(),
+            beneath: Vec::new(),
             failed: Vec::new(),
             tolerance_px: 1.0,
             error_px: 1.0,

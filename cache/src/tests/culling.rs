@@ -1,5 +1,5 @@
 //! The search against brute force: every point that can be seen is under a wanted page, and the
-//! page shows it as well as asked for.
+//! page shows it as well as asked for; and where a coarser one still has to do with it, it is there.
 
 use std::sync::LazyLock;
 
@@ -14,7 +14,7 @@ use super::*;
 use crate::memo::Memo;
 use crate::scene::Newcomer;
 use crate::scene::Scene;
-use crate::search::Found;
+use crate::search::{Found, Seen};
 
 fn scene(datasets: &[&Gated]) -> Scene {
     let newcomers = datasets.iter().map(|dataset| {
@@ -107,9 +107,19 @@ fn check(datasets: &[&Gated], scene: &Scene, view: &View) -> usize {
                 let wanted = &found.seen[wanted];
                 let sight = point - view.eye;
                 let cosine = sight.normalize().dot(view.axis());
-                let bound = f64::from(wanted.node.entry.bound);
-                let error = bound * scale / (sight.length() * cosine * cosine);
+                let pixels = |seen: &Seen| {
+                    let bound = f64::from(seen.node.entry.bound);
+                    bound * scale / (sight.length() * cosine * cosine)
+                };
+                let error = pixels(wanted);
                 assert!(error <= view.tolerance_px * (1.0 + 1e-9), "{error} px at {point}");
+                let mut above = wanted.parent;
+                while let Some(place) = above {
+                    let seen = &found.seen[place];
+                    let shows = pixels(seen) < View::BLENDED * view.tolerance_px * (1.0 - 1e-9);
+                    assert!(!shows || found.beneath.contains(&place), "{}", seen.node.entry.page);
+                    above = seen.parent;
+                }
             }
         }
     }

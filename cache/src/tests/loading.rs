@@ -505,6 +505,7 @@ fn a_height_is_that_of_the_finest_page() {
             pages: pages.iter().map(|page| load(*page)).collect(),
             missing: 0,
             roots: Vec::new(),
+            beneath: Vec::new(),
             failed: Vec::new(),
             tolerance_px: 1.0,
             error_px: 1.0,

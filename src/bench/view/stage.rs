@@ -58,7 +58,8 @@ const FOV: Degrees = Degrees(45.0);
 impl Stage {
     /// A stage with everything in memory that its first frames need, drawn once.
     pub(super) fn new(gpu: &Gpu, cache: Cache, size: [u32; 2], spot: Spot) -> Self {
-        let session = cache.session();
+        let mut session = cache.session();
+        session.blends = true;
         let renderer = Renderer::new(gpu, cache.body().ellipsoid);
         let (gpu, first) = (gpu.clone(), Cost::default());
         let mut stage = Self { gpu, cache, session, renderer, size, spot, first };

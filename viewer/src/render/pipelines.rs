@@ -1,5 +1,7 @@
 //! The programs and what they bind.
 
+use areoid_cache::View;
+
 use crate::full_screen::FullScreen;
 use crate::gpu::Gpu;
 use crate::mesh::detail::SEGMENTS;
@@ -160,7 +162,7 @@ fn pipeline_layout(
 }
 
 /// The constants that the programs with `patch.wgsl` in them take from here.
-const CONSTANTS: [(&str, f64); 1] = [("SEGMENTS", SEGMENTS as f64)];
+const CONSTANTS: [(&str, f64); 2] = [("SEGMENTS", SEGMENTS as f64), ("BLENDED", View::BLENDED)];
 
 fn options() -> wgpu::PipelineCompilationOptions<'static> {
     wgpu::PipelineCompilationOptions { constants: &CONSTANTS, ..Default::default() }

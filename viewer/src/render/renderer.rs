@@ -197,7 +197,8 @@ impl Renderer {
         let targets = self.targets.as_ref().expect("a picture was drawn");
         let view = self.drawn.as_ref().expect("a picture was drawn");
         let deferred = read_texture(&self.gpu, &targets.deferred);
-        Usage::new(view, &self.ellipsoid, &self.mesh, &self.surface, &deferred)
+        let seen = (view, self.exaggeration);
+        Usage::new(seen, &self.ellipsoid, &self.mesh, &self.surface, &deferred)
     }
 
     /// The exaggerated height drawn last at a unit normal, from the finest page in memory; 0 before.

@@ -127,13 +127,14 @@ impl Resident {
         let mut brought = Brought::default();
         let mut left_bytes = limit_bytes;
         // First what is there, so that no new page takes its place.
-        for page in selection.roots.iter().chain(&selection.pages) {
+        let pages = || selection.beneath.iter().chain(&selection.pages);
+        for page in selection.roots.iter().chain(pages()) {
             self.atlases[atlas_of(selection, page)].keep(name_of(page));
         }
         let before = std::mem::take(&mut self.before);
         let ages: HashMap<PageName, f64> =
             before.iter().map(|trace| (trace.name, trace.since)).collect();
-        let mut traces = Vec::with_capacity(selection.pages.len());
+        let mut traces = Vec::with_capacity(selection.pages.len() + selection.beneath.len());
         for page in &selection.roots {
             // They show where there is no room for others, and are few.
             let mut unlimited = u64::MAX;
@@ -142,7 +143,7 @@ impl Resident {
                 self.roots[place].push(trace.shown);
             }
         }
-        for page in &selection.pages {
+        for page in pages() {
             let trace = self.place(gpu, selection, page, &mut left_bytes, &mut brought);
             let Some((place, mut trace)) = trace else { continue };
             trace.since = ages.get(&trace.name).copied().unwrap_or(clock.seconds);

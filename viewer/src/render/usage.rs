@@ -7,6 +7,7 @@ use areoid_formats::body::Ellipsoid;
 use areoid_formats::geodesy::geographic_from_normal;
 
 use super::aovs::u32_at;
+use crate::blend::Vantage;
 use crate::camera::pixel_angle;
 use crate::mesh::patches::Mesh;
 use crate::surface::Surface;
@@ -35,13 +36,14 @@ pub struct Usage {
 impl Usage {
     /// Of a picture, by its deferred buffer.
     pub(crate) fn new(
-        view: &View,
+        (view, exaggeration): (&View, f64),
         ellipsoid: &Ellipsoid,
         mesh: &Mesh,
         surface: &Surface,
         deferred: &[u8],
     ) -> Self {
         let (mut patches, mut pages) = (HashSet::new(), HashSet::new());
+        let vantage = Vantage::new(view, exaggeration);
         let mut visible_pixels = 0;
         for pixel in deferred.chunks_exact(16) {
             let Some(patch) = u32_at(pixel, 0).checked_sub(1) else { continue };
@@ -50,7 +52,7 @@ impl Usage {
             let weights = [4, 8].map(|at| f32::from_bits(u32_at(pixel, at)));
             let (normal, reference, _) = mesh.place(ellipsoid, patch, weights);
             let footprint_m = reference.distance(view.eye) * pixel_angle(view);
-            surface.read_at(geographic_from_normal(normal), footprint_m, &mut pages);
+            surface.read_at(geographic_from_normal(normal), footprint_m, &vantage, &mut pages);
         }
         let bytes_of = |page: &areoid_cache::ResidentPage| page.page.bytes() as u64;
         Self {

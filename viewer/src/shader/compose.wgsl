@@ -6,8 +6,8 @@
 // 1 - Π (1 - c·u); the members of a series count as one dataset, of Σ c·u.
 //
 // Units      footprint in ground meters to a sample: it chooses the levels, between two of which
-//            values are blended; colors sRGB 0 to 1; normals as codes, 0 to 1. Heights are those of
-//            the finest page that is there: pages are chosen by their error, not by their texels.
+//            values are blended; colors sRGB 0 to 1; normals as codes, 0 to 1. Heights are chosen by
+//            their error (blend.wgsl), not by their texels.
 // Twin       surface.rs, areoid_formats::compose
 
 const HEIGHTS: u32 = 0u;
@@ -33,10 +33,7 @@ struct Answer {
     finest: i32,
 }
 
-fn read_found(found: Found, base: f32, plane: u32) -> Texel {
-    if plane == HEIGHTS {
-        return read_height(found, base);
-    }
+fn read_found(found: Found, plane: u32) -> Texel {
     if plane == NORMALS {
         return read_codes(normal_atlas, found);
     }
@@ -47,9 +44,45 @@ fn blend_texels(a: Texel, b: Texel, t: f32) -> Texel {
     return Texel(a.value + (b.value - a.value) * t, a.coverage + (b.coverage - a.coverage) * t);
 }
 
+// Heights: those of the finest page, over those of the coarser ones whose error would do.
+fn read_heights(dataset: Dataset, point: MapPoint, frame_index: u32, d: vec3f) -> Answer {
+    let frame = frames[frame_index];
+    var found = find_page(dataset, point, dataset.levels - 1);
+    if found.entry == 0u {
+        return Answer(Texel(vec3f(0.0), 0.0), 0.0, -1);
+    }
+    var texel = read_height(found, frame.height);
+    let tolerance_m = tolerance_m_at(position_at(frame, d, scene.exaggeration * texel.value.x));
+    var error = bound_of(found.entry) / tolerance_m;
+    let finest = entry_level(found.entry);
+    var level = f32(finest);
+    for (var own = finest; own > 0; own = entry_level(found.entry)) {
+        let beneath = find_page(dataset, point, own - 1);
+        if beneath.entry == 0u || entry_level(beneath.entry) >= own {
+            break;
+        }
+        let coarser = bound_of(beneath.entry) / tolerance_m;
+        let share = share_of_finer(coarser, error) * entry_presence(found.entry);
+        if share >= 1.0 {
+            break;
+        }
+        let below = read_height(beneath, frame.height);
+        // Either counts as far as it covers the place.
+        let coverage = below.coverage + (texel.coverage - below.coverage) * share;
+        if coverage > 0.0 {
+            let part = share * texel.coverage / coverage;
+            texel = Texel(below.value + (texel.value - below.value) * part, coverage);
+        }
+        error = coarser + (error - coarser) * share;
+        level = f32(entry_level(beneath.entry)) + (level - f32(entry_level(beneath.entry))) * share;
+        found = beneath;
+    }
+    return Answer(texel, level, finest);
+}
+
 // The value of a level, and the level it comes from. A page that has just come shows in part; what
 // stood in for it, and for that, shows for the rest.
-fn read_page(dataset: Dataset, point: MapPoint, level: i32, base: f32, plane: u32) -> Answer {
+fn read_page(dataset: Dataset, point: MapPoint, level: i32, plane: u32) -> Answer {
     var sum = Answer(Texel(vec3f(0.0), 0.0), 0.0, -1);
     var last = sum;
     var rest = 1.0;
@@ -62,7 +95,7 @@ fn read_page(dataset: Dataset, point: MapPoint, level: i32, base: f32, plane: u3
         }
         sum.finest = max(sum.finest, own);
         let presence = entry_presence(found.entry);
-        let texel = read_found(found, base, plane);
+        let texel = read_found(found, plane);
         if texel.coverage > 0.0 {
             last = Answer(texel, f32(own), own);
             let share = rest * presence;
@@ -83,13 +116,13 @@ fn read_page(dataset: Dataset, point: MapPoint, level: i32, base: f32, plane: u3
     return sum;
 }
 
-fn read_levels(dataset: Dataset, point: MapPoint, wanted: f32, base: f32, plane: u32) -> Answer {
+fn read_levels(dataset: Dataset, point: MapPoint, wanted: f32, plane: u32) -> Answer {
     let upper = i32(ceil(wanted));
     let toward_coarse = f32(upper) - wanted;
     var fine = Answer(Texel(vec3f(0.0), 0.0), 0.0, -1);
     // A loop, not two calls: drivers put the whole of a function wherever it is called.
     for (var step = 0; step < 2; step++) {
-        let answer = read_page(dataset, point, upper - step, base, plane);
+        let answer = read_page(dataset, point, upper - step, plane);
         if step == 0 || fine.texel.coverage == 0.0 {
             fine = answer;
         } else if answer.texel.coverage > 0.0 {
@@ -106,7 +139,8 @@ fn read_levels(dataset: Dataset, point: MapPoint, wanted: f32, base: f32, plane:
 
 // Heights are told above the frame's own, and are those of the reference surface where there are none.
 fn compose(frame_index: u32, d: vec3f, footprint_m: f32, plane: u32) -> Composed {
-    let base = frames[frame_index].height;
+    // Colors are as sharp as the view asks for.
+    let sample_m = footprint_m * max(scene.tolerance_px, 1.0);
     let r0 = frames[frame_index].north.z;
     let z0 = frames[frame_index].up.z;
     let x = r0 + d.z * r0 - d.y * z0;
@@ -132,10 +166,13 @@ fn compose(frame_index: u32, d: vec3f, footprint_m: f32, plane: u32) -> Composed
         let point = map_point(dataset, anchors[i], r0, z0, d);
         if point.inside {
             let scales = principal_scales(dataset, r, z);
-            let halvings = max(log2(footprint_m / scales.x), 0.0);
-            let finest = f32(dataset.levels - 1);
-            let wanted = select(max(finest - halvings, 0.0), finest, plane == HEIGHTS);
-            let answer = read_levels(dataset, point, wanted, base, plane);
+            var answer: Answer;
+            if plane == HEIGHTS {
+                answer = read_heights(dataset, point, frame_index, d);
+            } else {
+                let halvings = max(log2(sample_m / scales.x), 0.0);
+                answer = read_levels(dataset, point, max(f32(dataset.levels - 1) - halvings, 0.0), plane);
+            }
             if answer.texel.coverage > 0.0 {
                 let cover = answer.texel.coverage * dataset.weight;
                 let share = quality_of(scales) * cover;
@@ -185,7 +222,7 @@ fn compose(frame_index: u32, d: vec3f, footprint_m: f32, plane: u32) -> Composed
         composed.value /= shares;
         composed.opacity = min((1.0 - clear.x) / (1.0 - clear.y), 1.0);
     } else if plane == HEIGHTS {
-        composed.value.x = -base;
+        composed.value.x = -frames[frame_index].height;
     }
     return composed;
 }

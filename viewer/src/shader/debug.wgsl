@@ -44,7 +44,7 @@ fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> v
                 continue;
             }
             let scales = principal_scales(dataset, r, z);
-            let halvings = max(log2(footprint_m / scales.x), 0.0);
+            let halvings = max(log2(footprint_m * max(scene.tolerance_px, 1.0) / scales.x), 0.0);
             let wanted = i32(ceil(max(f32(dataset.levels - 1) - halvings, 0.0)));
             let found = find_page(dataset, point, select(wanted, dataset.levels - 1, plane == HEIGHTS));
             if found.entry == 0u {

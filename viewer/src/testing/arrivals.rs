@@ -34,6 +34,8 @@ fn selected(world: &World, tolerance_px: f64, generation: u64) -> Selection {
         datasets: world.whole.datasets.clone(),
         pages: selection.pages.clone(),
         roots: selection.roots.clone(),
+        // Nothing that has come or goes was there before.
+        beneath: Vec::new(),
         failed: Vec::new(),
         ..*selection
     }
@@ -49,12 +51,12 @@ fn difference(one: &Image, other: &Image) -> f64 {
 #[test]
 fn pages_give_way_to_others_bit_by_bit() {
     let world = split_mars();
-    let (coarse, fine) = (selected(world, 6.0, 1), selected(world, 0.4, 2));
+    let (coarse, fine) = (selected(world, 10.0, 1), selected(world, 0.4, 2));
     for [from, to] in [[&coarse, &fine], [&fine, &coarse]] {
         let mut renderer = Renderer::new(gpu(), world.body);
         let mut draw = |selection: &Selection, seconds: f64| -> (Image, FrameStatistics) {
             let options = Options { seconds, fade_seconds: 1.0, ..Options::default() };
-            let statistics = renderer.render(&view(1.0), selection, &LIGHT, &options);
+            let statistics = renderer.render(&view(0.4), selection, &LIGHT, &options);
             (renderer.read_color(), statistics)
         };
         draw(from, 0.0);
@@ -66,8 +68,8 @@ fn pages_give_way_to_others_bit_by_bit() {
         let whole = difference(&before, &after);
         let shares = [arrived, halfway].map(|image| difference(&before, &image) / whole);
         println!("{whole} codes, of that {shares:.3?} at once and halfway");
-        assert!(whole > 3_000.0, "{whole}");
-        assert!(shares[0] < 0.1 && shares[1] > 0.3 && shares[1] < 0.8, "{shares:?}");
+        assert!(whole > 1_000.0, "{whole}");
+        assert!(shares[0] < 0.1 && shares[1] > 0.1 && shares[1] < 0.8, "{shares:?}");
     }
 }
 
@@ -93,6 +95,7 @@ fn roots_stand_in_for_pages_that_are_put_off() {
     let surface = Surface::new(&Selection {
         pages: selection.roots.clone(),
         roots: Vec::new(),
+        beneath: Vec::new(),
         datasets: selection.datasets.clone(),
         failed: Vec::new(),
         ..selection

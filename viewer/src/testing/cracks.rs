@@ -142,6 +142,7 @@ fn some_of(
         datasets: whole.datasets.clone(),
         pages: whole.pages.iter().filter(keep).cloned().collect(),
         roots: Vec::new(),
+        beneath: Vec::new(),
         failed: Vec::new(),
         ..*whole
     }

@@ -1,9 +1,9 @@
-//! Nothing pops: when patches split nothing moves, and along a slow flight pixels change as the motion
-//! explains.
+//! Nothing pops: when patches split nothing moves, when pages come or go neither, and along a slow
+//! flight pixels change as the motion explains.
 
 use std::collections::BTreeSet;
 
-use areoid_cache::View;
+use areoid_cache::{Selection, View};
 use areoid_formats::units::{Degrees, Meters, Radians};
 use glam::DVec3;
 
@@ -75,13 +75,75 @@ struct Picture {
     depth_m: Vec<f64>,
 }
 
-fn draw(renderer: &mut Renderer, world: &World, view: &View) -> Picture {
-    renderer.render(view, &world.whole, &LIGHT, &Options::default());
+fn draw(renderer: &mut Renderer, selection: &Selection, view: &View) -> Picture {
+    renderer.render(view, selection, &LIGHT, &Options::default());
     Picture { rgba: renderer.read_color().rgba, depth_m: renderer.read_depth_m() }
 }
 
-/// Both sides of every change of the mesh along a way, a millionth of a pixel apart: no color
-/// changes, and no surface moves.
+/// What pictures on both sides of events differ by.
+#[derive(Default)]
+struct Changes {
+    events: usize,
+    changed: usize,
+    pixels: usize,
+    worst_share: f64,
+    /// Of 99.9 % of the pixels of a picture.
+    most_px: f64,
+}
+
+impl Changes {
+    fn add(&mut self, view: &View, old: &Picture, new: &Picture) {
+        let pairs = old.rgba.chunks(4).zip(new.rgba.chunks(4));
+        let is_seen = |(old, new): &(&[u8], &[u8])| {
+            old.iter().zip(*new).any(|(a, b)| a.abs_diff(*b) > UNSEEN)
+        };
+        let differ = pairs.filter(is_seen).count();
+        let depths = old.depth_m.iter().zip(&new.depth_m);
+        let mut off_px: Vec<f64> = depths
+            .filter(|(a, b)| a.is_finite() && b.is_finite())
+            .map(|(a, b)| (a - b).abs() / (a * pixel_angle(view)))
+            .collect();
+        self.events += 1;
+        self.changed += differ;
+        self.pixels += old.depth_m.len();
+        self.worst_share = self.worst_share.max(differ as f64 / old.depth_m.len() as f64);
+        self.most_px = self.most_px.max(quantile(&mut off_px, 0.999));
+    }
+
+    fn judge(&self, name: &str) {
+        let Self { events, changed, pixels, worst_share, most_px } = self;
+        println!(
+            "{name}: {events} events, {changed} of {pixels} pixels change, at worst \
+             {worst_share:.1e}; depth by {most_px:.4} px in 99.9 %"
+        );
+        assert!(*most_px < 0.05, "{name}: {most_px} px");
+        assert!(*worst_share <= 1e-4, "{name}: {worst_share}");
+    }
+}
+
+/// Shares of the way a millionth of a pixel apart between which a state changes, once for each of
+/// `steps` parts of the way in which it does.
+fn events<State: PartialEq>(steps: u32, mut state: impl FnMut(f64) -> State) -> Vec<[f64; 2]> {
+    let mut events = Vec::new();
+    let mut before = state(0.0);
+    for step in 1..=steps {
+        let end = f64::from(step) / f64::from(steps);
+        let now = state(end);
+        if now == before {
+            continue;
+        }
+        let (mut low, mut high) = (end - 1.0 / f64::from(steps), end);
+        for _ in 0..24 {
+            let half = low.midpoint(high);
+            if state(half) == before { low = half } else { high = half }
+        }
+        before = now;
+        events.push([low, high]);
+    }
+    events
+}
+
+/// Both sides of every change of the mesh along a way: no color changes, and no surface moves.
 #[test]
 fn nothing_moves_when_patches_split() {
     let steps = if soak() { 200 } else { 6 };
@@ -90,51 +152,43 @@ fn nothing_moves_when_patches_split() {
         let mut renderer = Renderer::new(gpu(), world.body);
         let (mut mesh, mut detail) = (Mesh::default(), Detail::default());
         detail.renew(&world.truth, 1.0);
-        let mut names = |share| patches(&mut mesh, &mut detail, &dolly, share);
-        let (mut events, mut changed, mut pixels) = (0, 0, 0);
-        let (mut worst_share, mut most_px) = (0.0_f64, 0.0_f64);
-        let mut before = names(0.0);
-        for step in 1..=steps {
-            let end = f64::from(step) / f64::from(steps);
-            let now = names(end);
-            if now == before {
-                continue;
-            }
-            let (mut low, mut high) = (end - 1.0 / f64::from(steps), end);
-            for _ in 0..24 {
-                let half = low.midpoint(high);
-                if names(half) == before { low = half } else { high = half }
-            }
-            before = now;
-            let views = [dolly.view(low), dolly.view(high)];
-            let [old, new] = views.map(|view| draw(&mut renderer, world, &view));
-            let differ =
-                old.rgba.chunks(4).zip(new.rgba.chunks(4)).filter(|(old, new)| {
-                    old.iter().zip(*new).any(|(a, b)| a.abs_diff(*b) > UNSEEN)
-                });
-            let differ = differ.count();
-            events += 1;
-            changed += differ;
-            pixels += old.depth_m.len();
-            worst_share = worst_share.max(differ as f64 / old.depth_m.len() as f64);
-            let mut off_px: Vec<f64> = old
-                .depth_m
-                .iter()
-                .zip(&new.depth_m)
-                .filter(|(a, b)| a.is_finite() && b.is_finite())
-                .map(|(a, b)| (a - b).abs() / (a * pixel_angle(&views[0])))
-                .collect();
-            most_px = most_px.max(quantile(&mut off_px, 0.999));
+        let mut changes = Changes::default();
+        for shares in events(steps, |share| patches(&mut mesh, &mut detail, &dolly, share)) {
+            let views = shares.map(|share| dolly.view(share));
+            let [old, new] = views.map(|view| draw(&mut renderer, &world.whole, &view));
+            changes.add(&views[0], &old, &new);
         }
-        println!(
-            "{}: {events} splits, {changed} of {pixels} pixels change, at worst {worst_share:.1e}; \
-             depth by {most_px:.4} px in 99.9 %",
-            dolly.name
-        );
-        assert!(events > 4, "{}: {events}", dolly.name);
-        assert!(most_px < 0.05, "{}: {most_px} px", dolly.name);
-        assert!(worst_share <= 1e-4, "{}: {worst_share}", dolly.name);
+        changes.judge(dolly.name);
+        assert!(changes.events > 4, "{}", changes.events);
     }
+}
+
+/// The same where pages come and go as the search wants them.
+#[test]
+fn nothing_moves_when_pages_change() {
+    let steps = if soak() { 400 } else { 24 };
+    let mut events_of_all = 0;
+    for dolly in dollies() {
+        let world = dolly.world;
+        let mut renderer = Renderer::new(gpu(), world.body);
+        let names = |share| -> Vec<_> {
+            let selection = world.selection(&dolly.view(share));
+            let pages = selection.pages.iter().chain(&selection.beneath);
+            pages.map(|page| (page.dataset, page.entry.page)).collect()
+        };
+        let mut changes = Changes::default();
+        for shares in events(steps, names) {
+            let views = shares.map(|share| dolly.view(share));
+            let [old, new] = views.map(|view| {
+                let selection = world.selection(&view);
+                draw(&mut renderer, &selection, &view)
+            });
+            changes.add(&views[0], &old, &new);
+        }
+        changes.judge(dolly.name);
+        events_of_all += changes.events;
+    }
+    assert!(events_of_all > 24, "{events_of_all}");
 }
 
 /// Pixels of a picture outside the range of the other's pixels around them, by more than is seen,
@@ -170,11 +224,11 @@ fn pixels_change_as_motion_explains() {
         let speed = dolly.view(0.501).eye.distance(middle.eye) / 0.001;
         let altitude = (dolly.from[2] * dolly.to[2]).sqrt();
         let step = 0.25 * pixel_angle(&middle) * altitude / speed;
-        let mut old = draw(&mut renderer, dolly.world, &middle);
+        let mut old = draw(&mut renderer, &dolly.world.selection(&middle), &middle);
         let (mut off, mut worst) = (0, 0);
         for frame in 1..=frames {
             let view = dolly.view(0.5 + step * f64::from(frame));
-            let new = draw(&mut renderer, dolly.world, &view);
+            let new = draw(&mut renderer, &dolly.world.selection(&view), &view);
             let count = unexplained(&old, &new);
             (off, worst) = (off + count, worst.max(count));
             old = new;

@@ -22,12 +22,14 @@ fn whole() -> Selection {
         datasets: whole.datasets.clone(),
         pages: whole.pages.clone(),
         roots: Vec::new(),
+        beneath: Vec::new(),
         failed: Vec::new(),
         ..*whole
     }
 }
 
-/// With pages missing here and there, their ancestors stand in on the GPU as on the CPU.
+/// With pages missing here and there, their ancestors stand in on the GPU as on the CPU, and what is
+/// finer than the view asks for gives way to what is coarser.
 #[test]
 fn ancestors_stand_in_for_missing_pages() {
     let mut selection = whole();
@@ -42,7 +44,7 @@ fn ancestors_stand_in_for_missing_pages() {
     let mut renderer = Renderer::new(gpu(), mars());
     renderer.render(&view, &selection, &LIGHT, &Options::default());
     let aovs = renderer.read_aovs();
-    let surface = Surface::new(&selection);
+    let surface = Surface::new(&selection).seen_from(&view, 1.0);
     let mut off_m = Vec::new();
     for (index, position) in aovs.position.iter().enumerate() {
         let shown = DVec3::from_array(*position);

@@ -43,7 +43,9 @@ impl World {
         let options = Options::with_budget(1 << 30);
         let cache = Cache::with_sources(Body::from_ellipsoid(body), sources, options).unwrap();
         assert!(cache.problems().is_empty());
-        let session = Mutex::new(cache.session());
+        let mut session = cache.session();
+        session.blends = true;
+        let session = Mutex::new(session);
         Self { body, truth: Surface::new(&whole), whole, session }
     }
 
