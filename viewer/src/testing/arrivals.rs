@@ -51,12 +51,13 @@ fn difference(one: &Image, other: &Image) -> f64 {
 #[test]
 fn pages_give_way_to_others_bit_by_bit() {
     let world = split_mars();
-    let (coarse, fine) = (selected(world, 10.0, 1), selected(world, 0.4, 2));
+    let (coarse, fine) = (selected(world, 6.0, 1), selected(world, 0.4, 2));
     for [from, to] in [[&coarse, &fine], [&fine, &coarse]] {
         let mut renderer = Renderer::new(gpu(), world.body);
         let mut draw = |selection: &Selection, seconds: f64| -> (Image, FrameStatistics) {
             let options = Options { seconds, fade_seconds: 1.0, ..Options::default() };
-            let statistics = renderer.render(&view(0.4), selection, &LIGHT, &options);
+            // No coarser page's error is within that.
+            let statistics = renderer.render(&view(0.01), selection, &LIGHT, &options);
             (renderer.read_color(), statistics)
         };
         draw(from, 0.0);
@@ -69,7 +70,7 @@ fn pages_give_way_to_others_bit_by_bit() {
         let shares = [arrived, halfway].map(|image| difference(&before, &image) / whole);
         println!("{whole} codes, of that {shares:.3?} at once and halfway");
         assert!(whole > 1_000.0, "{whole}");
-        assert!(shares[0] < 0.1 && shares[1] > 0.1 && shares[1] < 0.8, "{shares:?}");
+        assert!(shares[0] < 0.1 && shares[1] > 0.3 && shares[1] < 0.8, "{shares:?}");
     }
 }
 
