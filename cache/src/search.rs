@@ -187,10 +187,14 @@ impl Search<'_> {
     /// How often the sides of the last parts are halved for that.
     const HALVINGS: u32 = 3;
 
-    /// Pixels to a texel up to which a page of colors shows, to a pixel of tolerance. Its children begin
-    /// to at 1, and it is gone at 2 where a pixel's footprint is round, and where it is longer than
-    /// its samples reach, at eight times that.
-    const WIDEST_TEXEL: f64 = 16.0;
+    /// Pixels to a texel, to a pixel of tolerance, up to which a page of colors shows where a pixel's
+    /// footprint is round: its children begin to show at 1.
+    const WIDEST_TEXEL: f64 = 2.0;
+
+    /// A footprint up to so many times as long as wide is seen as sharp as it is wide, one of 64 times
+    /// eight times less so; ground may lean away as much as makes it twice as long.
+    const LONGEST: f64 = 8.0 / 2.0;
+    const LEAST_SHARP: f64 = 8.0;
 
     /// Puts a branch of the tree over the datasets among what is to come, by the largest that one of
     /// its datasets can be on the screen.
@@ -323,9 +327,11 @@ impl Search<'_> {
     /// The least error of a page where its children, from `first` on in `seen`, are seen, over the
     /// largest with which it still shows.
     fn least(&self, parent: &Seen, kind: Kind, first: usize, found: &Found) -> f64 {
-        let widest = match kind {
+        let widest = |length: f64| match kind {
             Kind::Height => View::BLENDED,
-            Kind::Color | Kind::Normal => Self::WIDEST_TEXEL,
+            Kind::Color | Kind::Normal => {
+                Self::WIDEST_TEXEL * (length / Self::LONGEST).clamp(1.0, Self::LEAST_SHARP)
+            }
         };
         let mut least = f64::INFINITY;
         for (place, child) in found.seen.iter().enumerate().skip(first) {
@@ -333,11 +339,13 @@ impl Search<'_> {
                 if found.sights[place * self.lenses.len() + number].is_seen() {
                     let scale = self.views[0].tolerance_px / view.tolerance_px;
                     let reach = lens.farthest(&child.node.volume);
-                    least = least.min(lens.pixels(parent.error_m, reach) * scale);
+                    let length = lens.footprint_length(&child.node.volume, reach);
+                    let pixels = lens.pixels(parent.error_m, reach) * scale;
+                    least = least.min(pixels / widest(length));
                 }
             }
         }
-        least / widest
+        least
     }
 
     /// Drops wanted pages of which no part is in sight: at the rim of the picture, a box reaches around

@@ -47,6 +47,9 @@ pub(crate) struct Lens {
     pub(crate) corner_cosine: f64,
     /// Cosine of the least angle between the picture and straight down.
     down_cosine: f64,
+    /// At most the distance of what is seen, where all of the picture looks down on the sphere below all
+    /// terrain; else infinite.
+    farthest_ground: f64,
     /// What a sphere below all terrain hides.
     horizon: Option<Horizon>,
     /// Before that, if the body has nothing beyond the greatest radius.
@@ -97,6 +100,8 @@ impl Lens {
         ];
         let corners = [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)]
             .map(|(x, y)| (x * right_tangent * right + y * up_tangent * up - backward).normalize());
+        let down = -view.eye.normalize_or_zero();
+        let least_cosine = corners.iter().map(|corner| corner.dot(down)).fold(1.0, f64::min);
         Self {
             eye: view.eye,
             axis: view.axis(),
@@ -104,7 +109,8 @@ impl Lens {
             corners,
             pixels_per_tangent: height / (2.0 * up_tangent),
             corner_cosine: (1.0 + up_tangent.powi(2) + right_tangent.powi(2)).sqrt().recip(),
-            down_cosine: greatest_cosine(&normals, &corners, -view.eye.normalize_or_zero()),
+            down_cosine: greatest_cosine(&normals, &corners, down),
+            farthest_ground: until_sphere(view.eye, least_cosine, inscribed_radius),
             horizon,
             before: horizon.map(|horizon| horizon.before(greatest_radius)),
         }
@@ -170,7 +176,15 @@ impl Lens {
     pub(crate) fn farthest(&self, volume: &Volume) -> f64 {
         let beyond = volume.bounds().farthest_from(self.eye);
         let seen = self.horizon.map(|horizon| horizon.farthest_seen(volume.greatest_radius()).0);
-        seen.map_or(beyond, |seen| seen.min(beyond))
+        seen.map_or(beyond, |seen| seen.min(beyond)).min(self.farthest_ground)
+    }
+
+    /// How many times as long as wide a pixel is on level ground of a page at most, `reach` away:
+    /// 1 / cos i with cos i = (d_c² - ρ² - d²) / (2 ρ d).
+    pub(crate) fn footprint_length(&self, volume: &Volume, reach: f64) -> f64 {
+        let radius = volume.greatest_radius().0;
+        let along = self.eye.length_squared() - radius * radius - reach * reach;
+        if along > 0.0 { (2.0 * radius * reach / along).max(1.0) } else { f64::INFINITY }
     }
 
     /// Whether all of a page is in the picture, or behind the body.
@@ -214,6 +228,18 @@ impl Lens {
             // Nothing is not visible, however near.
             0.0
         }
+    }
+}
+
+/// How far from the eye the ray enters a sphere that leans away from straight down by an angle of this
+/// cosine; infinite if it does not, or leans up.
+fn until_sphere(eye: DVec3, cosine: f64, radius: Meters) -> f64 {
+    let along = eye.length() * cosine;
+    let under_root = radius.0 * radius.0 - (eye.length_squared() - along * along);
+    if along > 0.0 && under_root > 0.0 && eye.length() > radius.0 {
+        along - under_root.sqrt()
+    } else {
+        f64::INFINITY
     }
 }
 
