@@ -34,7 +34,9 @@ impl Args {
             Place::Server(server) => self.of_server(&Client::new(&server.url)?)?,
         };
         let datasets = described["datasets"].as_array().map_or(&[][..], Vec::as_slice);
-        let whole = datasets.iter().all(|dataset| dataset.get("error").is_none());
+        let is_whole =
+            |dataset: &Value| ["error", "damage"].iter().all(|key| dataset.get(key).is_none());
+        let whole = datasets.iter().all(is_whole);
         if self.json {
             output::json(&described)?;
         } else {
@@ -54,7 +56,13 @@ impl Args {
             .zip(&archives)
             .filter(|(record, _)| self.dataset.as_ref().is_none_or(|name| record.answers_to(name)))
             .map(|(record, archive)| match archive {
-                Ok(archive) => Ok(describe::dataset(record, archive)?),
+                Ok(archive) => {
+                    let mut described = describe::dataset(record, archive)?;
+                    if let Err(damage) = catalog.check_length(record, archive) {
+                        described["damage"] = json!(damage.to_string());
+                    }
+                    Ok(described)
+                }
                 Err(error) => Ok(describe::unreadable(record, &error.to_string())),
             })
             .collect::<Result<_, Failure>>()?;
@@ -94,6 +102,9 @@ fn text(described: &Value, datasets: &[Value]) -> Result<(), Failure> {
             let name = dataset["name"].as_str().unwrap_or_default();
             output::line(format_args!("\n{name}: {}", error.as_str().unwrap_or_default()))?;
             continue;
+        }
+        if let Some(damage) = dataset["damage"].as_str() {
+            output::line(format_args!("\n{damage}"))?;
         }
         let grid = &dataset["grid"];
         output::line(format_args!(

@@ -286,6 +286,25 @@ fn damage_to_one_dataset_is_confined_to_it() {
     }
 }
 
+/// What is left of an archive may have no pages at all: that is no empty dataset.
+#[test]
+fn an_archive_that_was_cut_is_told() {
+    let bench = Bench::new();
+    let mut archives = bench.path("catalog/archives").read_dir().unwrap();
+    let archive = archives.next().unwrap().unwrap().path();
+    let bytes = fs::read(&archive).unwrap();
+    for share in [0.5, 0.99] {
+        fs::write(&archive, &bytes[..(share * bytes.len() as f64) as usize]).unwrap();
+        for arguments in [&["info", "catalog"][..], &["info", "catalog", "--json"]] {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_areoid"));
+            let info = command.current_dir(bench.folder.path()).args(arguments).output().unwrap();
+            let text = String::from_utf8(info.stdout).unwrap();
+            assert_eq!(info.status.code(), Some(1), "{text}");
+            assert!(text.contains("is damaged: of"), "{text}");
+        }
+    }
+}
+
 /// A disk that fills up while the archive is written: what was written waits for `--resume`.
 #[test]
 fn a_full_disk_is_an_error_and_changes_nothing() {

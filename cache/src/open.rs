@@ -60,7 +60,8 @@ pub(crate) struct News {
 /// Opens what the newest generation has and `known` does not; `told` hears of each dataset, with how
 /// many there are.
 ///
-/// A dataset that cannot be opened is left out, of the contents too, and told in the problems.
+/// A dataset that cannot be opened is left out, of the contents too, and told in the problems. One
+/// that was cut short is told, and opened as far as it is whole.
 pub(crate) fn news(
     folder: &Path,
     known: &Contents,
@@ -86,6 +87,8 @@ pub(crate) fn news(
             }
             match catalog.archive(record) {
                 Ok(archive) => {
+                    let length = catalog.check_length(record, &archive);
+                    news.problems.extend(length.err().map(CacheError::from));
                     let info = DatasetInfo {
                         name: record.name.clone(),
                         group: record.group.clone(),

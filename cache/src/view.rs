@@ -180,7 +180,7 @@ impl Lens {
     }
 
     /// How many times as long as wide a pixel is on level ground of a page at most, `reach` away:
-    /// 1 / cos i with cos i = (d_c² - ρ² - d²) / (2 ρ d).
+    /// 1 / cos i with `cos i = (d_c² - ρ² - d²) / (2 ρ d)`.
     pub(crate) fn footprint_length(&self, volume: &Volume, reach: f64) -> f64 {
         let radius = volume.greatest_radius().0;
         let along = self.eye.length_squared() - radius * radius - reach * reach;

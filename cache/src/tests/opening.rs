@@ -39,7 +39,8 @@ fn publish(folder: &Path, name: &str, grid: Grid, priority: i32) {
     publish_build(build, dataset).unwrap();
 }
 
-/// Two datasets, then the archive of one is damaged beyond reading: the other still opens.
+/// Two datasets, then the archive of one is cut, and damaged beyond reading: the other still opens, and
+/// what has happened is told.
 #[test]
 fn a_catalog_opens_with_what_can_be_read() {
     let folder = tempfile::tempdir().unwrap();
@@ -58,7 +59,14 @@ fn a_catalog_opens_with_what_can_be_read() {
     let cap = archives
         .map(|file| file.unwrap().path())
         .find(|path| path.file_name().unwrap().to_str().unwrap().starts_with("cap"));
-    std::fs::write(cap.unwrap(), b"no archive").unwrap();
+    let cap = cap.unwrap();
+    let bytes = std::fs::read(&cap).unwrap();
+    std::fs::write(&cap, &bytes[..bytes.len() / 2]).unwrap();
+    let cut = Cache::open(folder.path(), OPTIONS).wait().unwrap();
+    let told = cut.problems()[0].to_string();
+    assert!(told.contains("is damaged: of") && cut.problems().len() == 1, "{told}");
+    assert_eq!(cut.datasets().len(), 2);
+    std::fs::write(cap, b"no archive").unwrap();
     let cache = Cache::open(folder.path(), OPTIONS).wait().unwrap();
     assert_eq!((cache.datasets().len(), cache.problems().len()), (1, 1));
 }

@@ -111,6 +111,17 @@ pub enum CatalogError {
         dataset: String,
     },
 
+    /// An archive that is not as long as it was when it was published: what is whole of it is read.
+    #[error("{} is damaged: of {expected} bytes it has {found}", path.display())]
+    Length {
+        /// The file.
+        path: PathBuf,
+        /// Its length now.
+        found: u64,
+        /// What the manifest says.
+        expected: u64,
+    },
+
     /// An archive that cannot be read.
     #[error("cannot read the archive {}", path.display())]
     Archive {

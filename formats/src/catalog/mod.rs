@@ -207,4 +207,22 @@ impl Catalog {
         }
         Ok(archive)
     }
+
+    /// Whether an archive that opened is as long as it should be: one that was cut is read as far as it
+    /// is whole, and without its end may have no pages at all.
+    ///
+    /// # Errors
+    ///
+    /// [`CatalogError::Length`].
+    pub fn check_length(
+        &self,
+        record: &DatasetRecord,
+        archive: &Archive,
+    ) -> Result<(), CatalogError> {
+        let (found, expected) = (archive.len(), record.bytes);
+        if found == expected {
+            return Ok(());
+        }
+        Err(CatalogError::Length { path: self.archive_path(record), found, expected })
+    }
 }

@@ -41,6 +41,9 @@ const FASTER: f64 = 3.0;
 /// Errors may be so many times those of GDAL's exact places.
 const NO_HIGHER: f64 = 1.01;
 
+/// Two steps of an f32, in % of the signal.
+const ROUNDING_PERCENT: f64 = 100.0 * 2.0 * f32::EPSILON as f64;
+
 /// The spline's error at wavelengths, in percent of the signal: place among them, and limit.
 const SPLINE_RMS: [(usize, f64); 2] = [(1, 0.005), (2, 0.05)];
 
@@ -175,7 +178,8 @@ fn faster(setting: &Setting, direction: &Direction, runs: &[Runs]) -> Vec<Target
     targets
 }
 
-/// The largest ratios of errors over all wavelengths and zones.
+/// The largest ratios of errors over all wavelengths and zones. Errors of the last bits of f32 are all
+/// the same.
 fn no_higher(direction: &Direction, ways: &[Way], errors: &[Option<ByWave>]) -> Vec<Target> {
     let mut targets = Vec::new();
     for program in [Program::GdalWarp, Program::Python] {
@@ -187,6 +191,7 @@ fn no_higher(direction: &Direction, ways: &[Way], errors: &[Option<ByWave>]) -> 
             for (figure, name) in FIGURES {
                 let worst = ours.and_then(|ours| {
                     let pairs = ours.iter().flatten().zip(theirs.iter().flatten());
+                    let figure = |errors| figure(errors).max(ROUNDING_PERCENT);
                     worst(pairs.map(|(our, their)| figure(our) / figure(their)))
                 });
                 let what = format!(

@@ -8,7 +8,7 @@ use areoid_formats::units::{Degrees, Meters, Radians};
 use glam::DVec3;
 
 use super::caster::{ground_m, quantile};
-use super::worlds::{INSET, World, at, earth, split_mars};
+use super::worlds::{INSET, World, at, earth, noisy, split_mars};
 use super::{gpu, soak};
 use crate::camera::{Pose, pixel_angle};
 use crate::map::Maps;
@@ -163,12 +163,14 @@ fn nothing_moves_when_patches_split() {
     }
 }
 
-/// The same where pages come and go as the search wants them.
+/// The same where pages come and go as the search wants them, of colors as rough as can be, too.
 #[test]
 fn nothing_moves_when_pages_change() {
+    let (from, to) = ([20.0, 10.0, 1.5e7], [40.0, 15.0, 2e6]);
+    let noisy = Dolly { name: "noisy colors", world: noisy(), from, to, look: [0.0, -90.0] };
     let steps = if soak() { 400 } else { 24 };
     let mut events_of_all = 0;
-    for dolly in dollies() {
+    for dolly in dollies().into_iter().chain([noisy]) {
         let world = dolly.world;
         let mut renderer = Renderer::new(gpu(), world.body);
         let names = |share| -> Vec<_> {

@@ -18,7 +18,7 @@ use areoid_formats::page::{Kind, Page};
 use areoid_formats::projection::{Crs, PolarScale, PolarStereographic, Pole, Projection};
 use areoid_formats::units::{Degrees, Meters, Radians};
 
-use super::{Planet, Sample, dataset};
+use super::{Planet, Random, Sample, dataset};
 use crate::surface::Surface;
 
 /// A planet, whole and behind a cache.
@@ -283,6 +283,25 @@ pub(crate) fn earth() -> &'static World {
             sample(base + waves + crests, rim / 20.0)
         });
         World::new(body, planet)
+    })
+}
+
+/// A smooth Mars of colors that differ from texel to texel as much as they can.
+pub(crate) fn noisy() -> &'static World {
+    static WORLD: OnceLock<World> = OnceLock::new();
+    WORLD.get_or_init(|| {
+        let mut planet = Planet::default();
+        let degrees = Crs::new(Projection::Geographic, mars());
+        let pixel_size = [0.25; 2];
+        let outline = Outline { origin: [-180.0, 90.0], pixel_size, width: 1440, height: 720 };
+        planet.add(dataset("noise", Kind::Color, degrees, outline, 66, 0), |place| {
+            let [x, y] = [place.longitude, place.latitude].map(|angle| Degrees::from(angle).0);
+            let [col, row] = [4.0 * (x + 180.0), 4.0 * (90.0 - y)].map(|at| at.floor() as u64);
+            let mut random = Random((row << 32 | col).wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
+            random.next();
+            ([random.next(), random.next(), random.next()].map(|share| (255.0 * share) as f32), 255)
+        });
+        World::new(mars(), planet)
     })
 }
 
