@@ -187,6 +187,8 @@ mod footprints;
 
 mod jitter;
 
+mod layer;
+
 mod pops;
 
 mod reference;
@@ -200,7 +202,10 @@ pub(crate) mod worlds;
 /// The device that all tests share: a pipeline's first use is slow.
 pub(crate) fn gpu() -> &'static crate::Gpu {
     static GPU: std::sync::OnceLock<crate::Gpu> = std::sync::OnceLock::new();
-    GPU.get_or_init(|| crate::Gpu::headless().unwrap())
+    GPU.get_or_init(|| {
+        layer::listen();
+        crate::Gpu::headless().unwrap()
+    })
 }
 
 /// Whether `AREOID_SOAK` asks for more than continuous integration has time for.
