@@ -148,6 +148,7 @@ fn report(selection: &Selection) -> serde_json::Value {
     let bytes: usize = selection.pages.iter().map(|resident| resident.page.bytes()).sum();
     json!({
         "pages": selection.pages.len(),
+        "beneath": selection.beneath.len(),
         "wanted": selection.wanted,
         "missing": selection.missing,
         "failed": selection.failed.len(),

@@ -16,6 +16,8 @@ pub(crate) struct Match {
     pub(crate) roots: Vec<Arc<ResidentPage>>,
     pub(crate) beneath: Vec<Arc<ResidentPage>>,
     pub(crate) missing: usize,
+    /// Of them, those that would show beneath others.
+    pub(crate) missing_beneath: usize,
     pub(crate) failed: Vec<FailedPage>,
     /// The largest error of `pages`; infinite where there is none for a wanted one.
     pub(crate) error_px: f64,
@@ -125,8 +127,13 @@ impl Matcher {
                 let most_px = found.seen[place].pixels.min(found.tolerance_px);
                 result.error_px = result.error_px.max(most_px);
                 result.beneath.push(page);
-            } else if store.error(Work::Texels(name)).is_none() {
+                continue;
+            }
+            if let Some(error) = store.error(Work::Texels(name)) {
+                result.failed.push(failure(name, error));
+            } else {
                 result.missing += 1;
+                result.missing_beneath += 1;
                 self.ask(place, name);
             }
         }

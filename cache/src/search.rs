@@ -327,10 +327,13 @@ impl Search<'_> {
     /// The least error of a page where its children, from `first` on in `seen`, are seen, over the
     /// largest with which it still shows.
     fn least(&self, parent: &Seen, kind: Kind, first: usize, found: &Found) -> f64 {
-        let widest = |length: f64| match kind {
+        let widest = |view: &View, length: f64| match kind {
             Kind::Height => View::BLENDED,
             Kind::Color | Kind::Normal => {
-                Self::WIDEST_TEXEL * (length / Self::LONGEST).clamp(1.0, Self::LEAST_SHARP)
+                // Pictures are no sharper than their pixels.
+                let pixel = (1.0 / view.tolerance_px).max(1.0);
+                let stretch = (length / Self::LONGEST).clamp(1.0, Self::LEAST_SHARP);
+                Self::WIDEST_TEXEL * pixel * stretch
             }
         };
         let mut least = f64::INFINITY;
@@ -341,7 +344,7 @@ impl Search<'_> {
                     let reach = lens.farthest(&child.node.volume);
                     let length = lens.footprint_length(&child.node.volume, reach);
                     let pixels = lens.pixels(parent.error_m, reach) * scale;
-                    least = least.min(pixels / widest(length));
+                    least = least.min(pixels / widest(view, length));
                 }
             }
         }

@@ -46,7 +46,7 @@ pub struct Session {
     hidden: Hidden,
     /// Whether pages are loaded that are only expected to be needed; so at first.
     pub look_ahead: bool,
-    /// Whether [`Selection::beneath`] is asked for: a third more pages at most. Not so at first.
+    /// Whether [`Selection::beneath`] is asked for: mostly a third more pages. Not so at first.
     pub blends: bool,
     last: Arc<Selection>,
     /// What the last views wanted, sorted; and room for the next.
@@ -271,9 +271,11 @@ impl Session {
             }
         }
         let Showing { found, .. } = &self.shown;
-        let Match { pages, roots: mut pinned, beneath, missing, failed, mut error_px } = matched;
+        let Match { pages, roots: mut pinned, beneath, missing, failed, mut error_px, .. } =
+            matched;
         let stats = &mut store.stats;
-        stats.hits += (found.wanted.len() - missing.min(found.wanted.len())) as u64;
+        let missed = (missing - matched.missing_beneath).min(found.wanted.len());
+        stats.hits += (found.wanted.len() - missed) as u64;
         stats.misses += missing as u64;
         store.pin_roots(self.number, &mut pinned);
         store.replace_requests(self.number, requests);
