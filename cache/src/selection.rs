@@ -135,12 +135,13 @@ pub struct Selection {
     /// among `pages`: for a viewer that has no room, or no time yet, for all of those.
     pub roots: Vec<Arc<ResidentPage>>,
     /// Coarser pages over which `pages` show bit by bit, for a viewer in which nothing pops; only if
-    /// [`Session::blends`](crate::Session::blends) asks for them. Where one is missing, none other
-    /// stands in.
+    /// [`Session::blends`](crate::Session::blends) asks for them. None stands in for one that is
+    /// missing: the next coarser one that is there shows beneath.
     pub beneath: Vec<Arc<ResidentPage>>,
     /// Pages that the view wants and that may still come.
     pub missing: usize,
-    /// Pages that the view wants and that cannot be read. Their ancestors stand in for them.
+    /// Pages that the view wants, or would have beneath others, and that cannot be read. Ancestors of
+    /// the wanted ones stand in for them.
     pub failed: Vec<FailedPage>,
     /// The tolerance that `pages` will meet once none is missing: the view's, or more if the
     /// budget forces it. Of several views, the first one's; those of the others are by as much
