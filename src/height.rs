@@ -14,7 +14,7 @@ use areoid_formats::query::{HeightAnswer, HeightQuery};
 use serde_json::{Value, json};
 
 use crate::args::{numbers, position};
-use crate::failure::Failure;
+use crate::failure::{Failure, say_why};
 use crate::output;
 
 /// Say how high the surface is: composed from all height datasets, with its bound.
@@ -126,7 +126,14 @@ impl Args {
             .iter()
             .zip(archives)
             .filter(|(record, _)| self.dataset.as_ref().is_none_or(|name| record.answers_to(name)))
-            .map(|(_, archive)| archive)
+            .map(|(record, archive)| {
+                let archive = archive?;
+                if let Err(damage) = catalog.check_length(record, &archive) {
+                    // What is whole of it still answers.
+                    say_why("warning", &damage);
+                }
+                Ok(archive)
+            })
             .collect::<Result<_, CatalogError>>()?;
         Ok(chosen)
     }

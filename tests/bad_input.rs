@@ -302,6 +302,11 @@ fn an_archive_that_was_cut_is_told() {
             assert_eq!(info.status.code(), Some(1), "{text}");
             assert!(text.contains("is damaged: of"), "{text}");
         }
+        let mut command = Command::new(env!("CARGO_BIN_EXE_areoid"));
+        let height = command.current_dir(bench.folder.path());
+        let height = height.args(["height", "catalog", "--at", "20,40"]).output().unwrap();
+        let warned = String::from_utf8(height.stderr).unwrap();
+        assert!(warned.contains("warning: ") && warned.contains("is damaged: of"), "{warned}");
     }
 }
 
