@@ -3,6 +3,7 @@
 //! Heights are a ramp in degrees, so a shift of a thousandth of a pixel shows as a thousandth of
 //! the ramp from one pixel to the next.
 
+use std::f64::consts::PI;
 use std::fs;
 use std::path::Path;
 
@@ -12,7 +13,7 @@ use tempfile::TempDir;
 use crate::support::areoid::{heights, ingest};
 use crate::support::geotiff::{Samples, Writing};
 use crate::support::levels::Edge;
-use crate::support::raster::{Place, Random, Raster};
+use crate::support::raster::{Place, Random, Raster, pixel_center};
 
 /// Meters from one pixel to the next, in each direction.
 const STEP: f64 = 40.0;
@@ -111,6 +112,47 @@ fn a_ramp_on_another_grid_keeps_its_place() {
             for (point, found) in points.iter().zip(heights(&catalog, &points, &[])) {
                 let error = (found.unwrap() - ramp.height(*point)).abs();
                 assert!(error < 1e-3 * STEP, "{options:?}: {point:?} is {error} m off");
+            }
+        }
+    }
+}
+
+/// A ramp on a map of a pole, painted on a globe: on that map's own pixels it is where it was, at the pole
+/// and across the antimeridian, too.
+#[test]
+fn a_ramp_on_a_polar_grid_keeps_its_place() {
+    let size = (360, 720);
+    let mut random = Random(10);
+    for (grid, sign) in [("polar-north", 1.0), ("polar-south", -1.0)] {
+        // A pixel at the pole is half a degree, and the plane touches the sphere there.
+        let ramp = |longitude: f64, latitude: f64| {
+            let from_pole = PI / 2.0 - sign * latitude;
+            let pixels = 2.0 * (from_pole / 2.0).tan() / (PI / 360.0);
+            STEP * pixels * (longitude.sin() + 0.5 * longitude.cos())
+        };
+        let globe = Place::Globe(Edge::PoleOnOutline, Edge::PoleOnOutline);
+        let raster = Raster::new(globe, size, None, |row, col| {
+            let (latitude, longitude) = pixel_center((row, col), size);
+            let is_near = sign * latitude > -0.1;
+            if is_near { ramp(longitude, latitude) as f32 } else { 0.0 }
+        });
+        let folder = TempDir::new().unwrap();
+        let file = Writing::of(&raster, Samples::Float32).write(&raster, folder.path(), "ramp.tif");
+        let mut points: Vec<[f64; 2]> = (0..1000)
+            .map(|_| [360.0 * random.unit() - 180.0, sign * (15.0 + 75.0 * random.unit())])
+            .collect();
+        points.extend((0..100).map(|at| [f64::from(at) * 3.6, sign * 89.9]));
+        points.extend((0..100).map(|at| [180.0 - 1e-3 * f64::from(at), sign * 50.0]));
+        points.extend((0..100).map(|at| [1e-3 * f64::from(at) - 180.0, sign * 50.0]));
+        for kernel in ["cubic", "lanczos", "spline"] {
+            let catalog = folder.path().join(kernel);
+            let options = ["--grid", grid, "--kernel", kernel, "--page-size", "34"];
+            ingest(&catalog, &file, &options);
+            for ([longitude, latitude], found) in points.iter().zip(heights(&catalog, &points, &[]))
+            {
+                let truth = ramp(longitude.to_radians(), latitude.to_radians());
+                let error = (found.unwrap() - truth).abs() / STEP;
+                assert!(error < 1e-3, "{grid} {kernel}: {longitude}, {latitude} is {error} off");
             }
         }
     }

@@ -16,10 +16,10 @@ pub(super) fn demo(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("demo/mars").join(name)
 }
 
-/// The raster's samples, rows downward from the north pole, columns eastward from 0°.
-fn samples() -> Vec<i16> {
-    let mut decoder = Decoder::new(File::open(demo("mola_height_8ppd.tif")).unwrap()).unwrap();
-    assert_eq!(decoder.dimensions().unwrap(), (2880, 1440));
+/// The samples of a demo raster, rows downward.
+fn samples(name: &str, size: (u32, u32)) -> Vec<i16> {
+    let mut decoder = Decoder::new(File::open(demo(name)).unwrap()).unwrap();
+    assert_eq!(decoder.dimensions().unwrap(), size);
     let DecodingResult::I16(samples) = decoder.read_image().unwrap() else {
         panic!("the raster is int16")
     };
@@ -61,6 +61,29 @@ pub(super) fn truth() -> Vec<([f64; 2], f64)> {
         .collect()
 }
 
+/// Positions and heights of the same field on a map of a pole, to half a meter: a ninth of its pixels.
+pub(super) fn polar_truth(hemisphere: &str) -> Vec<([f64; 2], f64)> {
+    const SIDE: usize = 1024;
+    const MISSING: i16 = -32768;
+    let samples = samples(&format!("mola_{hemisphere}_polar_4km.tif"), (1024, 1024));
+    let places =
+        (0..SIDE).step_by(3).flat_map(|row| (0..SIDE).step_by(3).map(move |col| (row, col)));
+    let shown = places.filter(|(row, col)| samples[row * SIDE + col] != MISSING);
+    shown
+        .map(|(row, col)| {
+            // Meters at the pole, on a plane that touches the sphere there.
+            let [east, up] = [col as f64 - 511.5, 511.5 - row as f64].map(|pixels| pixels * 4000.0);
+            let from_pole = 2.0 * (east.hypot(up) / (2.0 * 3_396_190.0)).atan();
+            let (sign, longitude) = match hemisphere {
+                "north" => (1.0, east.atan2(-up)),
+                _ => (-1.0, east.atan2(up)),
+            };
+            let latitude = sign * (90.0 - from_pole.to_degrees());
+            ([longitude.to_degrees(), latitude], f64::from(samples[row * SIDE + col]))
+        })
+        .collect()
+}
+
 /// The error that a share of the errors does not pass.
 fn quantile(errors: &mut [f64], share: f64) -> f64 {
     errors.sort_by(f64::total_cmp);
@@ -73,7 +96,7 @@ fn mars_is_as_high_as_it_is() {
     let catalog = folder.path().join("catalog");
     ingest(&catalog, &demo("mola_height_8ppd.tif"), &["--name", "raster"]);
     assert_verified(&catalog, &demo("mola_height_8ppd.tif"));
-    let samples = samples();
+    let samples = samples("mola_height_8ppd.tif", (2880, 1440));
 
     let truth = truth();
     assert_eq!(truth.len(), 20_000);
