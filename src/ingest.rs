@@ -172,7 +172,7 @@ fn summary(outcome: &Outcome, peak: u64) -> serde_json::Value {
         "dataset": outcome.dataset,
         "parts": parts.collect::<Vec<_>>(),
         "saved_texels": outcome.saved.map(|saved| saved.texels),
-        "saved_bytes": outcome.saved.map(|saved| saved.bytes),
+        "saved_bytes": outcome.saved.and_then(|saved| saved.bytes),
         "already_there": outcome.already_there,
         "generation": outcome.generation,
         "pages": outcome.parts.iter().map(pages).sum::<u64>(),
@@ -238,8 +238,10 @@ fn text(outcome: &Outcome) -> String {
             let pages = pages(part);
             let _ = write!(text, "\n  {name}: {width} x {height}, {pages} pages, {bytes} bytes");
         }
-        let (texels, bytes) = (told(saved.texels), told(saved.bytes));
-        let _ = write!(text, "\n  beside one pyramid {texels} texels, and about {bytes} bytes");
+        let _ = write!(text, "\n  beside one pyramid {} texels", told(saved.texels));
+        if let Some(bytes) = saved.bytes {
+            let _ = write!(text, ", and about {} bytes", told(bytes));
+        }
     }
     text
 }

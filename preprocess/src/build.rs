@@ -116,6 +116,8 @@ pub struct Means {
     pub scratch: Arc<Scratch>,
     /// Memory for the pages under construction, in bytes, beside those of the step that is done.
     pub frontier_bytes: u64,
+    /// How many pages are looked at together: as many threads as there are have work in them.
+    pub pages_together: usize,
     /// How much work may pass between two notes.
     pub note_every: Duration,
 }
@@ -208,7 +210,8 @@ fn build_of<S: Texel, W: Site + Send>(
     let mut schedule = Schedule::new(grid.pyramid(), *unit_pages, HALO, lowpass::reach(*mip));
     let spans = if leaves.may_have_holes() { Spans::Kept } else { Spans::Unneeded };
     let scratch = Arc::clone(&means.scratch);
-    let mut shop = Shop::<S>::new(description, spans, scratch, means.frontier_bytes);
+    let (waiting, together) = (means.frontier_bytes, means.pages_together);
+    let mut shop = Shop::<S>::new(description, spans, scratch, waiting, together);
     let mut progress = Progress {
         units_done: 0,
         units_resumed: 0,
@@ -368,7 +371,8 @@ mod tests {
                 mip,
             };
             let scratch = Arc::new(Scratch::new(tempfile::tempfile().unwrap(), &[]).unwrap());
-            let means = Means { scratch, frontier_bytes: 0, note_every: Duration::MAX };
+            let note_every = Duration::MAX;
+            let means = Means { scratch, frontier_bytes: 0, pages_together: 8, note_every };
             build(&description, &Nothing, Vec::new(), &means, None, |_| Proceed::Yes).unwrap_err()
         };
         assert!(matches!(build(MipRule::Unknown), BuildError::MipRule));

@@ -36,6 +36,7 @@ use crate::whole::{self, Payloads, Whole, WholeChild};
 pub(crate) struct Shop<'a, S: Texel> {
     description: &'a Description,
     spans: Spans,
+    pages_together: usize,
     scratch: Arc<Scratch>,
     frontier: Frontier<S>,
     /// Of the leaves that a feather may still reach.
@@ -62,10 +63,12 @@ impl<'a, S: Texel> Shop<'a, S> {
         spans: Spans,
         scratch: Arc<Scratch>,
         frontier_bytes: u64,
+        pages_together: usize,
     ) -> Self {
         Self {
             description,
             spans,
+            pages_together: pages_together.max(1),
             frontier: Frontier::new(Arc::clone(&scratch), frontier_bytes),
             scratch,
             validity: HashMap::new(),
@@ -152,9 +155,8 @@ impl<'a, S: Texel> Shop<'a, S> {
     ) -> Result<(), BuildError> {
         self.take_in(raws);
         // A few pages at a time, so that what they look at is here and not much else.
-        let together = 4 * rayon::current_num_threads();
         for level in step.settled.chunk_by(|one, other| one.level == other.level) {
-            for pages in level.chunks(together) {
+            for pages in level.chunks(self.pages_together) {
                 self.fetch(pages, &[])?;
                 if pages[0].level == self.pyramid().finest() {
                     self.settle_leaves(pages)?;
@@ -165,7 +167,7 @@ impl<'a, S: Texel> Shop<'a, S> {
             }
         }
         for level in step.whole.chunk_by(|one, other| one.level == other.level) {
-            for pages in level.chunks(together) {
+            for pages in level.chunks(self.pages_together) {
                 self.fetch(&[], pages)?;
                 for finished in self.finish_pages(pages, measure, payloads)? {
                     give(finished)?;

@@ -115,8 +115,12 @@ impl Raster {
         // Without any memory for them, pages go through the scratch file.
         let scratch = Scratch::new(tempfile::tempfile().unwrap(), &[]).unwrap();
         let frontier_bytes = if self.shape.width.is_multiple_of(2) { 0 } else { 1 << 30 };
-        let note_every = Duration::from_secs(3600);
-        let means = Means { scratch: Arc::new(scratch), frontier_bytes, note_every };
+        let means = Means {
+            scratch: Arc::new(scratch),
+            frontier_bytes,
+            pages_together: 8,
+            note_every: Duration::from_secs(3600),
+        };
         let (bytes, _) =
             build(&description, &leaves, Vec::new(), &means, None, |_| Proceed::Yes).unwrap();
         bytes

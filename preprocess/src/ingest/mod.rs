@@ -10,7 +10,11 @@ mod plan;
 
 mod left;
 
+mod memory;
+
 mod place;
+
+mod saved;
 
 mod tally;
 
@@ -29,9 +33,11 @@ pub use self::request::{
 };
 
 use self::left::{Standing, dataset, in_place, kept, publish_left, stand, stopped};
-use self::place::{Ready, make_ready, step_bytes, threads, write};
+use self::memory::Memory;
+use self::place::{Ready, make_ready, threads, write};
 use self::plan::{Part, Plan, plan};
 use self::request::{Watch, tell};
+use self::saved::saved;
 use self::tally::{Tally, units};
 use crate::build::{Proceed, Progress};
 use crate::estimate::Estimate;
@@ -84,7 +90,11 @@ pub fn ingest(
     };
     if let (Some(catalog), Some(archives)) = (&catalog, there) {
         (outcome.already_there, outcome.generation) = (true, catalog.generation());
-        return Ok(outcome.of(&plan, archives.iter().map(whole).collect(), start));
+        return Ok(outcome.of(
+            (request, &plan, &threads),
+            archives.iter().map(whole).collect(),
+            start,
+        ));
     }
 
     let mut left = Vec::new();
@@ -98,7 +108,7 @@ pub fn ingest(
             outcome.resumed_units =
                 plan.parts.iter().map(|part| units(&part.description) as u64).sum();
             let parts = all.iter().map(|(archive, _)| whole(archive)).collect();
-            return Ok(outcome.of(&plan, parts, start));
+            return Ok(outcome.of((request, &plan, &threads), parts, start));
         }
         left.resize_with(plan.parts.len(), || None);
     }
@@ -112,7 +122,7 @@ pub fn ingest(
     let made = standing.iter().map(made).collect();
     outcome.generation = publish(disk, request, &plan, standing)?;
     outcome.decoded_blocks = plan.parts.iter().map(|part| part.origin.decoded_blocks()).sum();
-    Ok(outcome.of(&plan, made, start))
+    Ok(outcome.of((request, &plan, &threads), made, start))
 }
 
 /// What is said of an archive's levels, and its length.
@@ -135,34 +145,25 @@ fn made(standing: &Standing<'_>) -> Figures {
 
 impl Outcome {
     /// With what was made of each part.
-    fn of(self, plan: &Plan, figures: Vec<Figures>, start: Instant) -> Self {
+    fn of(
+        self,
+        (request, plan, threads): (&Request, &Plan, &ThreadPool),
+        figures: Vec<Figures>,
+        start: Instant,
+    ) -> Self {
         let made = |(part, (summary, bytes)): (&Part, Figures)| {
             let (name, grid) = (part.description.dataset.clone(), part.description.grid.clone());
             PartMade { name, grid, summary, bytes }
         };
         let parts: Vec<PartMade> = plan.parts.iter().zip(figures).map(made).collect();
         Self {
-            saved: if plan.is_group { saved(&parts, plan.pixels) } else { None },
+            saved: plan.instead_of.as_ref().map(|whole| saved(request, whole, threads, &parts)),
             bytes: parts.iter().map(|part| part.bytes).sum(),
             parts,
             seconds: start.elapsed().as_secs_f64(),
             ..self
         }
     }
-}
-
-/// What was saved by splitting so many pixels; the band is the first part.
-fn saved(parts: &[PartMade], pixels: u64) -> Option<Saved> {
-    let texels = |part: &PartMade| Estimate::of(part.grid.pyramid()).texels;
-    let band = parts.first()?;
-    let native_bytes = band.bytes as f64 * pixels as f64 / texels(band) as f64;
-    let minus = |whole: u64, parts: u64| whole.cast_signed().saturating_sub(parts.cast_signed());
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a length")]
-    let native_bytes = native_bytes as u64;
-    Some(Saved {
-        texels: minus(pixels, parts.iter().map(texels).sum()),
-        bytes: minus(native_bytes, parts.iter().map(|part| part.bytes).sum()),
-    })
 }
 
 /// Builds what is not whole yet, one part after another.
@@ -178,7 +179,13 @@ fn build_all(
     let mut least_bytes = 0;
     for (part, standing) in plan.parts.iter().zip(&*standing) {
         let Standing::Build(underway) = standing else { continue };
-        least_bytes = least_bytes.max(step_bytes(&part.description, &*part.origin));
+        let memory = Memory::share(
+            request.memory_bytes,
+            threads.current_num_threads(),
+            &part.description,
+            &*part.origin,
+        );
+        least_bytes = least_bytes.max(memory.least_bytes);
         if let Some(leftover) = underway.leftover.filter(|leftover| !told.contains(leftover)) {
             told.push(leftover);
             tell(watch, Event::Leftover(leftover))?;

@@ -7,19 +7,18 @@ use std::thread;
 
 use areoid_formats::archive::{Description, Written};
 use areoid_formats::catalog::Build;
-use areoid_formats::page::Kind;
 use rayon::ThreadPool;
 
+use super::memory::Memory;
 use super::plan::Part;
 use super::request::{Event, IngestError, Request, Watch, tell};
-use crate::build::{self, Begun, Means, Proceed, Progress, Site, is_of_whole_heights};
+use crate::build::{self, Begun, Means, Proceed, Progress, Site};
 use crate::build_error::BuildError;
 use crate::estimate::Estimate;
 use crate::feather::HALO;
 use crate::lowpass;
 use crate::note::Note;
 use crate::once::Overflow;
-use crate::origin::Origin;
 use crate::schedule::Schedule;
 use crate::scratch::{Aside, Scratch};
 
@@ -79,8 +78,7 @@ impl Site for Buffered<'_, '_> {
 /// What a build works with, beside its place.
 pub(super) struct Ready {
     scratch: Arc<Scratch>,
-    /// Memory beside that of a step, in bytes.
-    spare_bytes: u64,
+    memory: Memory,
     /// What it is expected to make and take.
     pub(super) estimate: Estimate,
 }
@@ -105,7 +103,8 @@ pub(super) fn make_ready(
     let scratch = Scratch::new(build.scratch()?, &named.unwrap_or_default());
     let scratch = scratch.map_err(|error| failed(description, BuildError::Scratch(error)))?;
     let scratch = Arc::new(scratch);
-    let spare_bytes = request.memory_bytes.saturating_sub(step_bytes(description, &**origin));
+    let memory =
+        Memory::share(request.memory_bytes, threads.current_num_threads(), description, &**origin);
     tell(watch, Event::Measuring)?;
     let pyramid = description.grid.pyramid();
     let done = begun.map_or(0, |begun| begun.archive.units) as f64;
@@ -117,9 +116,9 @@ pub(super) fn make_ready(
         let left = 1.0 - done / units;
         let mut go_on = || watch(Event::Measuring);
         let estimate = Estimate::of(pyramid);
-        estimate.measure(description, &**origin, &scratch, spare_bytes, left, &mut go_on)
+        estimate.measure(description, &**origin, &scratch, memory.spare_bytes, left, &mut go_on)
     });
-    Ok(Ready { scratch, spare_bytes, estimate })
+    Ok(Ready { scratch, memory, estimate })
 }
 
 /// Builds the archive in `build`.
@@ -127,15 +126,17 @@ pub(super) fn write(
     request: &Request,
     Part { description, origin }: &mut Part,
     (build, begun): (&mut Build<'_>, Option<Begun>),
-    Ready { scratch, spare_bytes, .. }: Ready,
+    Ready { scratch, memory, .. }: Ready,
     threads: &ThreadPool,
     watch: &mut (dyn FnMut(Progress) -> Proceed + Send),
 ) -> Result<Written, IngestError> {
     // A quarter for the rasters' blocks, which wait only where strips are wide.
+    let Memory { spare_bytes, pages_together, .. } = memory;
     let aside = Arc::new(Aside::new(Arc::clone(&scratch)));
     origin.spill(&Arc::new(Overflow::new(aside, spare_bytes / 4)));
     let frontier_bytes = spare_bytes - spare_bytes / 4;
-    let means = Means { scratch, frontier_bytes, note_every: request.note_every };
+    let note_every = request.note_every;
+    let means = Means { scratch, frontier_bytes, pages_together, note_every };
     let origin = &**origin;
     let sync_now = build.syncing()?;
     let built = thread::scope(|scope| {
@@ -164,22 +165,4 @@ pub(super) fn write(
 
 fn failed(description: &Description, source: BuildError) -> IngestError {
     IngestError::Build { dataset: description.dataset.clone(), source: Box::new(source) }
-}
-
-/// What a step of the build needs beside the pages that wait, in bytes: its leaves and those of the
-/// next unit, the pages fetched and made, with their finest texels where there may be holes and those
-/// around them where parents look farther than their children, and the blocks that leaves are cut
-/// from.
-pub(super) fn step_bytes(description: &Description, origin: &dyn Origin) -> u64 {
-    const EVERYTHING_ELSE: u64 = 48 << 20;
-    let side = u64::from(description.grid.pyramid().page_side());
-    let texel = match description.kind {
-        Kind::Height if is_of_whole_heights(description, origin) => 2,
-        Kind::Height => 4,
-        Kind::Color | Kind::Normal => 3,
-    };
-    let unit = u64::from(description.unit_pages).pow(2) * side * side * texel;
-    let units = if origin.may_have_holes() { 7 } else { 5 };
-    let around = u64::from(lowpass::reach(description.mip) > 0);
-    (units + around) * unit + EVERYTHING_ELSE
 }

@@ -39,8 +39,8 @@ pub(super) struct Plan {
     pub(super) parts: Vec<Part>,
     /// Whether they are a group.
     pub(super) is_group: bool,
-    /// Pixels of the grid that the rasters share.
-    pub(super) pixels: u64,
+    /// What a group is made instead of: one pyramid on the rasters' own grid. Nobody keeps it.
+    pub(super) instead_of: Option<Part>,
 }
 
 /// A dataset to be built.
@@ -71,8 +71,8 @@ pub(super) fn plan(
     let called = request.called();
     let layout = Layout::new(rasters, crs)?;
     let placement = layout.placement()?;
-    let pixels = u64::from(placement.width) * u64::from(placement.height);
-    let origins = threads.install(|| origins(request, layout, placement, kind))?;
+    let Origins { parts, instead_of } =
+        threads.install(|| origins(request, layout, placement, kind))?;
     let reading = &request.reading;
     let files = fingerprints(&request.rasters, reading.within.as_ref(), watch)?;
     let source = Source {
@@ -84,7 +84,7 @@ pub(super) fn plan(
         latitudes: reading.latitudes.map(|kind| latitudes_name(kind).to_owned()),
     };
     let quantum = quantum(kind, &first, request.step_m)?;
-    let is_group = origins.len() > 1;
+    let is_group = parts.len() > 1;
     let part = |(part, is_resampled, origin): PartFrom| Part {
         description: Description {
             dataset: if is_group { format!("{called}.{part}") } else { called.clone() },
@@ -104,21 +104,28 @@ pub(super) fn plan(
         },
         origin,
     };
-    let parts = origins.into_iter().map(part).collect();
-    Ok(Plan { called, parts, is_group, pixels })
+    let instead_of = instead_of.map(|origin| part(("", false, origin)));
+    let parts = parts.into_iter().map(part).collect();
+    Ok(Plan { called, parts, is_group, instead_of })
 }
 
 /// What part of a group some leaves are, whether they are resampled, and where they come from.
 type PartFrom = (&'static str, bool, Box<dyn Origin>);
 
-/// Where the leaves of each part come from, the rasters as they are or resampled, or the normals of
-/// either.
+/// Where the leaves of each part come from, and those of [`Plan::instead_of`].
+struct Origins {
+    parts: Vec<PartFrom>,
+    instead_of: Option<Box<dyn Origin>>,
+}
+
+/// The rasters as they are or resampled, or the normals of either.
 fn origins(
     request: &Request,
     layout: Layout,
     placement: Placement,
     kind: Kind,
-) -> Result<Vec<PartFrom>, IngestError> {
+) -> Result<Origins, IngestError> {
+    let one = |part| Origins { parts: vec![part], instead_of: None };
     let (kernel, limit, precision) = (request.kernel, request.limit, Precision::default());
     let resampling = resample::Resampling { kernel, limit, precision };
     // Heights on a step of their own keep what whole meters lose.
@@ -133,7 +140,7 @@ fn origins(
     let map = match request.grid {
         TargetGrid::One(TargetMap::Native) if request.pixel_size.is_none() => {
             let rows = 0..placement.height;
-            return Ok(vec![("", false, native(&layout, rows, kind, request.page_side)?)]);
+            return Ok(one(("", false, native(&layout, rows, kind, request.page_side)?)));
         }
         TargetGrid::One(map) => map,
         TargetGrid::Split if request.pixel_size.is_some() => {
@@ -144,16 +151,20 @@ fn origins(
             let Split { rows, north, south } = split(&placement, request.page_side)?;
             let cap = |grid| resampled(grid, layout.clone());
             let [band, at_north, at_south] = PARTS;
-            return Ok(vec![
-                (band, false, native(&layout, rows, kind, request.page_side)?),
-                (at_north, true, cap(north)?),
-                (at_south, true, cap(south)?),
-            ]);
+            let native = |rows| native(&layout, rows, kind, request.page_side);
+            return Ok(Origins {
+                instead_of: Some(native(0..placement.height)?),
+                parts: vec![
+                    (band, false, native(rows)?),
+                    (at_north, true, cap(north)?),
+                    (at_south, true, cap(south)?),
+                ],
+            });
         }
     };
     let (pixel_size, page_side) = (request.pixel_size, request.page_side);
     let grid = target_grid(&[placement], TargetRequest { map, pixel_size, page_side })?;
-    Ok(vec![("", true, resampled(grid, layout)?)])
+    Ok(one(("", true, resampled(grid, layout)?)))
 }
 
 /// Leaves on the rasters' own grid.

@@ -228,9 +228,9 @@ pub struct PartMade {
 pub struct Saved {
     /// Texels of the finest levels.
     pub texels: i64,
-    /// About so many bytes: the pyramid is not built to know it, and taken to have as many a texel as
-    /// the band. Rows near the poles, whose pixels resemble one another, take fewer.
-    pub bytes: i64,
+    /// So many bytes of archives: up to 16 Mi texels as the one pyramid is, beyond that about as much, by
+    /// a few of its leaves about the poles. `None` where that cannot be told.
+    pub bytes: Option<i64>,
 }
 
 /// An ingest that did not come to its end. The catalog is as it was.

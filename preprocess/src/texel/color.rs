@@ -61,9 +61,12 @@ impl Texel for u8 {
             return;
         }
         let light = &*LIGHT;
-        for (out, (&[a, b], &[c, d])) in out.iter_mut().zip(pairs) {
-            let [a, b, c, d] = [a, b, c, d].map(|code| light.linear[usize::from(code)]);
-            *out = light.code(a + b + c + d);
+        // Said outside, lest it be fetched for each texel.
+        let of_two: &[u32; 1 << 16] = &light.of_two;
+        for (out, (&upper, &lower)) in out.iter_mut().zip(pairs) {
+            let [upper, lower] =
+                [upper, lower].map(|two| of_two[usize::from(u16::from_le_bytes(two))]);
+            *out = light.code(upper + lower);
         }
     }
 
@@ -118,6 +121,9 @@ impl Texel for u8 {
 struct Light {
     /// Light of each code, white's being [`WHITE`].
     linear: [u32; 256],
+    /// Light of two codes, the first in the lower byte: neighbors are alike, so that what is looked up
+    /// lies close together.
+    of_two: Box<[u32; 1 << 16]>,
     /// For each span of sums of four lights the code at its start, in the lowest byte, and above it
     /// the least sum that has the next code.
     spans: [u32; SPANS],
@@ -174,8 +180,12 @@ static LIGHT: LazyLock<Light> = LazyLock::new(|| {
         let code = least.partition_point(|&least| least <= start);
         least[code] << 8 | u32::try_from(code).expect("at most 255")
     };
+    let linear: [u32; 256] = std::array::from_fn(|code| units(light_of(code as f64)));
+    let of_two: Vec<u32> =
+        linear.iter().flat_map(|second| linear.map(|first| first + second)).collect();
     Light {
-        linear: std::array::from_fn(|code| units(light_of(code as f64))),
+        linear,
+        of_two: of_two.try_into().expect("all pairs of codes"),
         spans: std::array::from_fn(span),
     }
 });

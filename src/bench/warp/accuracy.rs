@@ -1,5 +1,6 @@
 //! How far resampled waves are from the waves.
 
+use std::f64::consts::PI;
 use std::fs;
 use std::io;
 use std::path::Path;
@@ -26,11 +27,19 @@ const POLE_DEG: f64 = 2.0;
 /// So near ±180° is at the antimeridian, in pixels of the source.
 const SEAM_PX: f64 = 8.0;
 
+/// Places like that at the pole, in degrees: as large, about these parallels, so far apart along them.
+const LIKE_POLE_DEG: ([f64; 8], f64) = ([86.0, 80.0, 70.0, 60.0, 50.0, 40.0, 30.0, 20.0], 45.0);
+
+/// Places like the antimeridian: as wide, so far apart in degrees.
+const LIKE_SEAM_DEG: f64 = 10.0;
+
 /// Errors of a zone, in percent of the signal's strength; the mean of no texels is NaN.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub(super) struct Errors {
     pub(super) rms: f64,
     pub(super) max: f64,
+    /// The largest root mean square of a place like it elsewhere; NaN of elsewhere itself.
+    pub(super) like_it: f64,
     pub(super) texels: u64,
     /// Texels without a value where the source has data all around.
     pub(super) missing: u64,
@@ -105,7 +114,16 @@ fn write(
 /// What a target should be.
 struct Truth {
     heights: Vec<f64>,
-    zones: Vec<u8>,
+    places: Vec<At>,
+}
+
+/// Where a texel is.
+#[derive(Clone, Copy)]
+struct At {
+    /// In [`ZONES`]; past it where the source need not show anything.
+    zone: u8,
+    /// Elsewhere: which place like the pole and like the antimeridian it is in, if any.
+    like: [Option<u8>; 2],
 }
 
 impl Truth {
@@ -113,21 +131,24 @@ impl Truth {
         let (place, (width, height)) = direction.target;
         let (source, size) = direction.source;
         let seam = SEAM_PX * source.pixel_rad(size);
+        let poles = like_the_pole();
         let texels = (0..height).into_par_iter().flat_map_iter(|row| {
             (0..width).map(move |col| {
                 let position = place.position((width, height), row, col);
-                (waves.at(position.vector()), zone(position, seam))
+                (waves.at(position.vector()), at(position, seam, &poles))
             })
         });
-        let (heights, zones) = texels.unzip();
-        Self { heights, zones }
+        let (heights, places) = texels.unzip();
+        Self { heights, places }
     }
 
     fn errors(&self, program: Program, samples: &[f32]) -> [Errors; ZONES.len()] {
         assert_eq!(samples.len(), self.heights.len(), "as many samples as the target has texels");
         let mut found = [Errors::default(); ZONES.len()];
-        for ((&height, &zone), &sample) in self.heights.iter().zip(&self.zones).zip(samples) {
-            let Some(errors) = found.get_mut(usize::from(zone)) else { continue };
+        // Squares and texels of places like the pole, and of those like the antimeridian.
+        let mut like = [[(0.0, 0.0_f64); 256]; 2];
+        for ((&height, at), &sample) in self.heights.iter().zip(&self.places).zip(samples) {
+            let Some(errors) = found.get_mut(usize::from(at.zone)) else { continue };
             // GDAL leaves 0 where it finds nothing; here it is a height.
             if sample.is_nan() || program != Program::Areoid && sample == 0.0 {
                 errors.missing += 1;
@@ -137,9 +158,20 @@ impl Truth {
             errors.texels += 1;
             errors.rms += error * error;
             errors.max = errors.max.max(error);
+            for (like, place) in like.iter_mut().zip(at.like) {
+                if let Some((squares, texels)) = place.map(|place| &mut like[usize::from(place)]) {
+                    *squares += error * error;
+                    *texels += 1.0;
+                }
+            }
         }
         for errors in &mut found {
             errors.rms = (errors.rms / errors.texels as f64).sqrt();
+            errors.like_it = f64::NAN;
+        }
+        for (errors, like) in found[1..].iter_mut().zip(like) {
+            let rms = like.iter().map(|(squares, texels)| (squares / texels).sqrt());
+            errors.like_it = rms.fold(f64::NAN, f64::max);
         }
         found
     }
@@ -170,16 +202,39 @@ fn tiff(path: &Path, (width, height): (u32, u32)) -> io::Result<Vec<f32>> {
     Ok(samples)
 }
 
-/// The place in [`ZONES`]; past it where the source need not show anything.
-fn zone(position: Position, seam: f64) -> u8 {
+/// The centers of places like that at the pole.
+fn like_the_pole() -> Vec<[f64; 3]> {
+    let (parallels, apart) = LIKE_POLE_DEG;
+    let around = || (0..8).map(|step| (f64::from(step) + 0.3) * apart);
+    let positions = parallels.into_iter().flat_map(|parallel| {
+        around().map(move |longitude| Position {
+            longitude: longitude.to_radians(),
+            latitude: parallel.to_radians(),
+        })
+    });
+    positions.map(Position::vector).collect()
+}
+
+/// Where a texel is; `seam` is half the width of the antimeridian, in radians.
+fn at(position: Position, seam: f64, like_pole: &[[f64; 3]]) -> At {
     let latitude_deg = position.latitude.to_degrees();
-    if latitude_deg < 0.0 {
-        return 3;
-    }
-    let from_seam = (std::f64::consts::PI - position.longitude.abs()) * position.latitude.cos();
-    match () {
+    let from_seam = (PI - position.longitude.abs()) * position.latitude.cos();
+    let zone = match () {
+        () if latitude_deg < 0.0 => 3,
         () if latitude_deg > 90.0 - POLE_DEG => 1,
         () if from_seam < seam => 2,
         () => 0,
+    };
+    if zone != 0 {
+        return At { zone, like: [None; 2] };
     }
+    let here = position.vector();
+    let near = POLE_DEG.to_radians().cos();
+    let dot = |there: &[f64; 3]| here.iter().zip(there).map(|(a, b)| a * b).sum::<f64>();
+    let pole = like_pole.iter().position(|there| dot(there) > near);
+    let steps = (position.longitude.to_degrees() / LIKE_SEAM_DEG).round();
+    let off = (position.longitude - (steps * LIKE_SEAM_DEG).to_radians()) * position.latitude.cos();
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 36")]
+    let seam = (off.abs() < seam).then_some((steps + 180.0 / LIKE_SEAM_DEG) as u8);
+    At { zone, like: [pole.and_then(|place| u8::try_from(place).ok()), seam] }
 }

@@ -270,8 +270,12 @@ impl Case {
 /// The archive of leaves; `None` if nothing is valid.
 pub(super) fn built(description: &Description, leaves: &Resampler) -> Option<Archive> {
     let scratch = Scratch::new(tempfile::tempfile().unwrap(), &[]).unwrap();
-    let (scratch, frontier_bytes) = (Arc::new(scratch), 1 << 30);
-    let means = Means { scratch, frontier_bytes, note_every: Duration::from_secs(3600) };
+    let means = Means {
+        scratch: Arc::new(scratch),
+        frontier_bytes: 1 << 30,
+        pages_together: 8,
+        note_every: Duration::from_secs(3600),
+    };
     match build(description, leaves, Vec::new(), &means, None, |_| Proceed::Yes) {
         Ok((bytes, _)) => Some(Archive::open(Box::new(bytes)).unwrap()),
         Err(BuildError::NoData) => None,
