@@ -131,11 +131,11 @@ impl Truth {
         let (place, (width, height)) = direction.target;
         let (source, size) = direction.source;
         let seam = SEAM_PX * source.pixel_rad(size);
-        let poles = like_the_pole();
+        let poles = &like_the_pole();
         let texels = (0..height).into_par_iter().flat_map_iter(|row| {
             (0..width).map(move |col| {
                 let position = place.position((width, height), row, col);
-                (waves.at(position.vector()), at(position, seam, &poles))
+                (waves.at(position.vector()), at(position, seam, poles))
             })
         });
         let (heights, places) = texels.unzip();
