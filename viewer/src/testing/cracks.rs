@@ -7,7 +7,7 @@ use areoid_cache::{ResidentPage, Selection, View};
 use areoid_formats::address::PageAddress;
 use areoid_formats::geodesy::surface_normal;
 use areoid_formats::units::{Degrees, Meters, Radians};
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::caster::{Caster, middle};
 use super::worlds::{World, at, earth, split_mars};
@@ -161,6 +161,20 @@ fn meets(eye: DVec3, direction: DVec3, [a, b]: [f64; 2]) -> bool {
     along > 0.0 && eye.length_squared() - along * along < a * a
 }
 
+/// Whether what is drawn stands over the eye: straight up it sees the planet. Beside a wall, triangles slant
+/// from its top to points at its foot that the eye is among, although the surface is below it at its own place.
+fn stands_over(renderer: &mut Renderer, view: &View, selection: &Selection) -> bool {
+    let up = view.eye.normalize();
+    let right = up.any_orthonormal_vector();
+    let orientation = DMat3::from_cols(right, right.cross(up), -up);
+    let options = Options { background: IMPOSSIBLE, ..Options::default() };
+    renderer.render(&View { orientation, ..*view }, selection, &LIGHT, &options);
+    let rgba = renderer.read_color().rgba;
+    let [width, height] = view.viewport.map(|side| side as usize);
+    let middle = 4 * (height / 2 * width + width / 2);
+    rgba[middle..middle + 3] != IMPOSSIBLE
+}
+
 #[test]
 fn no_background_shows_through_the_planet() {
     const VIEWPORT: [u32; 2] = [160, 120];
@@ -195,18 +209,25 @@ fn no_background_shows_through_the_planet() {
         let shell = |height: f64| [a + height, b + height];
         let places = (0..VIEWPORT[1]).flat_map(|y| (0..VIEWPORT[0]).map(move |x| (x, y)));
         let (mut background, mut open) = (Vec::new(), Vec::new());
+        let (mut must_show, mut through) = (0, Vec::new());
         for ((x, y), pixel) in places.zip(picture.rgba.chunks(4)) {
             let direction = caster.direction(middle(x, y));
             let is_sky = pixel[..3] == IMPOSSIBLE;
             let is_below = meets(view.eye, direction, shell(low - 100.0));
-            below += usize::from(is_below);
-            assert!(!(is_sky && is_below), "round {round}: {x} {y} of {view:?}");
+            must_show += usize::from(is_below);
+            through.extend((is_sky && is_below).then_some((x, y)));
             let at_edge = x == 0 || y == 0 || x + 1 == VIEWPORT[0] || y + 1 == VIEWPORT[1];
             background.push(is_sky);
             open.push(at_edge || !meets(view.eye, direction, shell(high + 100.0)));
         }
         let shut_in = shut_in(&background, &open, VIEWPORT[0] as usize);
-        assert_eq!(shut_in, 0, "round {round}: {view:?}");
+        let is_whole = through.is_empty() && shut_in == 0;
+        if !is_whole && stands_over(&mut renderers[round % 2], &view, &selection) {
+            within += 1;
+            continue;
+        }
+        below += must_show;
+        assert!(is_whole, "round {round}: {through:?}, {shut_in} shut in, of {view:?}");
     }
     println!(
         "{rounds} views, {within} of them from within, {patches} patches, {below} pixels that must \
