@@ -187,8 +187,12 @@ fn mesh_pipeline(gpu: &Gpu, groups: &[Option<&wgpu::BindGroupLayout>]) -> wgpu::
             })],
         },
         primitive: wgpu::PrimitiveState {
-            front_face: wgpu::FrontFace::Ccw,
-            cull_mode: Some(wgpu::Face::Back),
+            // The patches in sight are a closed surface in front of the background: its triangles wind once
+            // about a pixel of it, also where their corners are rounded, and one of them at least covers the
+            // pixel. It is one that shows its face only if faces are judged by the rounded corners too. Drivers
+            // may judge by others, or twice (llvmpipe does, of clipped triangles), and slivers turn over
+            // between. So none is left out; what shows its back is behind what shows its face.
+            cull_mode: None,
             ..Default::default()
         },
         depth_stencil: Some(wgpu::DepthStencilState {

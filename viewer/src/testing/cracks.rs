@@ -4,9 +4,10 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use areoid_cache::{ResidentPage, Selection, View};
+use areoid_formats::address::PageAddress;
 use areoid_formats::geodesy::surface_normal;
 use areoid_formats::units::{Degrees, Meters, Radians};
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::caster::{Caster, middle};
 use super::worlds::{World, at, earth, split_mars};
@@ -16,6 +17,9 @@ use crate::shader::Program;
 use crate::{Light, Options, Renderer};
 
 const LIGHT: Light = Light { toward_sun: DVec3::new(1.0, 0.5, 0.3), ambient: 0.5 };
+
+/// What nothing but the background shows.
+const IMPOSSIBLE: [u8; 3] = [255, 0, 255];
 
 const SIDES_PROBE: &str = "
 @group(2) @binding(0) var<storage, read_write> answers: array<vec4u>;
@@ -157,10 +161,23 @@ fn meets(eye: DVec3, direction: DVec3, [a, b]: [f64; 2]) -> bool {
     along > 0.0 && eye.length_squared() - along * along < a * a
 }
 
+/// Whether what is drawn stands over the eye: straight up it sees the planet. Beside a wall, triangles slant
+/// from its top to points at its foot that the eye is among, although the surface is below it at its own place.
+fn stands_over(renderer: &mut Renderer, view: &View, selection: &Selection) -> bool {
+    let up = view.eye.normalize();
+    let right = up.any_orthonormal_vector();
+    let orientation = DMat3::from_cols(right, right.cross(up), -up);
+    let options = Options { background: IMPOSSIBLE, ..Options::default() };
+    renderer.render(&View { orientation, ..*view }, selection, &LIGHT, &options);
+    let rgba = renderer.read_color().rgba;
+    let [width, height] = view.viewport.map(|side| side as usize);
+    let middle = 4 * (height / 2 * width + width / 2);
+    rgba[middle..middle + 3] != IMPOSSIBLE
+}
+
 #[test]
 fn no_background_shows_through_the_planet() {
     const VIEWPORT: [u32; 2] = [160, 120];
-    const IMPOSSIBLE: [u8; 3] = [255, 0, 255];
 
     let rounds = if soak() { 10_000 } else { 60 };
     let mut random = Random(0x00c0_ffee);
@@ -192,18 +209,25 @@ fn no_background_shows_through_the_planet() {
         let shell = |height: f64| [a + height, b + height];
         let places = (0..VIEWPORT[1]).flat_map(|y| (0..VIEWPORT[0]).map(move |x| (x, y)));
         let (mut background, mut open) = (Vec::new(), Vec::new());
+        let (mut must_show, mut through) = (0, Vec::new());
         for ((x, y), pixel) in places.zip(picture.rgba.chunks(4)) {
             let direction = caster.direction(middle(x, y));
             let is_sky = pixel[..3] == IMPOSSIBLE;
             let is_below = meets(view.eye, direction, shell(low - 100.0));
-            below += usize::from(is_below);
-            assert!(!(is_sky && is_below), "round {round}: {x} {y} of {view:?}");
+            must_show += usize::from(is_below);
+            through.extend((is_sky && is_below).then_some((x, y)));
             let at_edge = x == 0 || y == 0 || x + 1 == VIEWPORT[0] || y + 1 == VIEWPORT[1];
             background.push(is_sky);
             open.push(at_edge || !meets(view.eye, direction, shell(high + 100.0)));
         }
         let shut_in = shut_in(&background, &open, VIEWPORT[0] as usize);
-        assert_eq!(shut_in, 0, "round {round}: {view:?}");
+        let is_whole = through.is_empty() && shut_in == 0;
+        if !is_whole && stands_over(&mut renderers[round % 2], &view, &selection) {
+            within += 1;
+            continue;
+        }
+        below += must_show;
+        assert!(is_whole, "round {round}: {through:?}, {shut_in} shut in, of {view:?}");
     }
     println!(
         "{rounds} views, {within} of them from within, {patches} patches, {below} pixels that must \
@@ -211,4 +235,32 @@ fn no_background_shows_through_the_planet() {
     );
     assert!(within <= rounds / 20);
     assert!(below > rounds * 4_000);
+}
+
+/// About a pole some pages were still to come, and walls of 1600 m stood between those that were there.
+/// From beside, their triangles are slivers: rounded to parts of a pixel, many turn over. While what shows
+/// its back was left out, and the driver judged that both before it rounded and after, pixels stayed open.
+#[test]
+fn walls_of_slivers_are_closed() {
+    const VIEWPORT: [u32; 2] = [320, 240];
+
+    let world = split_mars();
+    let (place, heading, pitch) = (at(75.0, -89.99875), Degrees(220.0), Degrees(-67.0));
+    let pose = Pose::from_eye(&world.body, place, Meters(1914.0), heading.into(), pitch.into());
+    let view = pose.view(Degrees(60.0).into(), VIEWPORT, 1.0);
+    let selection = some_of(&world.selection(&view), 0, |page| {
+        let PageAddress { row, col, .. } = page.entry.page;
+        match page.dataset {
+            0 => row != 11 || ![3, 4, 7, 9, 11, 13, 14, 17].contains(&col),
+            2 => row != 4,
+            _ => true,
+        }
+    });
+    let options = Options { background: IMPOSSIBLE, ..Options::default() };
+    let mut renderer = Renderer::new(gpu(), world.body);
+    let drawn = renderer.render(&view, &selection, &LIGHT, &options);
+    assert!(drawn.patches > 20_000, "no wall stands by the eye: {drawn:?}");
+    let picture = renderer.read_color();
+    let open = picture.rgba.chunks(4).filter(|pixel| pixel[..3] == IMPOSSIBLE).count();
+    assert_eq!(open, 0);
 }
