@@ -33,6 +33,8 @@ mod scene;
 
 mod memo;
 
+mod found;
+
 mod search;
 
 mod store;

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use areoid_formats::archive::Payload;
 
+use crate::found::{Found, Seen};
 use crate::scene::Scene;
-use crate::search::{Found, Seen};
 use crate::selection::{FailedPage, ResidentPage};
 use crate::store::{PageName, Request, Store, Work};
 
@@ -29,8 +29,6 @@ pub(crate) struct Matcher {
     /// By place in [`Found::seen`].
     marks: Vec<Mark>,
     needs: Vec<(usize, Work)>,
-    /// Whether pages are asked for that show beneath others.
-    pub(crate) blends: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -117,7 +115,7 @@ impl Matcher {
                 result.error_px = f64::INFINITY;
             }
         }
-        for &place in self.beneath(found) {
+        for &place in &found.beneath {
             if self.marks[place].used {
                 continue;
             }
@@ -184,7 +182,7 @@ impl Matcher {
         requests: &mut Vec<Request>,
     ) {
         self.begin(found);
-        for &place in found.wanted.iter().chain(self.beneath(found)) {
+        for &place in found.wanted.iter().chain(&found.beneath) {
             let name = found.seen[place].name(scene);
             if !store.holds(name) && store.error(Work::Texels(name)).is_none() {
                 self.ask(place, name);
@@ -194,10 +192,6 @@ impl Matcher {
             self.needs.push((place, Work::Children(found.seen[place].name(scene))));
         }
         self.end(scene, found, requests);
-    }
-
-    fn beneath<'a>(&self, found: &'a Found) -> &'a [usize] {
-        if self.blends { &found.beneath } else { &[] }
     }
 
     fn begin(&mut self, found: &Found) {

@@ -21,80 +21,17 @@
 //! * `ARCHITECTURE.md`: the error on the screen, and what is out of sight, cheapest first.
 //! * White 2011, chapter 4: the search over a BVH of datasets with a quadtree each.
 
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
 use std::fmt;
 
 use areoid_formats::bvh::{Branch, Parts};
 use areoid_formats::page::Kind;
 use areoid_formats::volume::Volume;
 
+use crate::found::{Candidate, Found, Seen, Step};
 use crate::memo::{Memo, Verdict};
 use crate::scene::{Node, Scene};
 use crate::selection::DatasetInfo;
 use crate::view::{Lens, Sight, View};
-
-/// A page in sight.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen {
-    /// Its dataset's place in the scene.
-    pub(crate) dataset: usize,
-    pub(crate) node: Node,
-    /// Its place in [`Found::seen`].
-    pub(crate) parent: Option<usize>,
-    /// From the nearest eye that sees it.
-    pub(crate) distance: f64,
-    /// At most what it is off by, in meters on the ground or in height.
-    error_m: f64,
-    /// Its error on the screen, in pixels of the first view.
-    pub(crate) pixels: f64,
-}
-
-/// What a search found; kept for the next one, so that it need not be allocated again.
-#[derive(Debug, Default)]
-pub(crate) struct Found {
-    /// Wanted pages and all of their ancestors: a parent stands before its children.
-    pub(crate) seen: Vec<Seen>,
-    /// The wanted ones, as places in `seen`.
-    pub(crate) wanted: Vec<usize>,
-    /// The wanted ones whose children are not known yet.
-    pub(crate) unindexed: Vec<usize>,
-    /// Ancestors of the wanted ones that show beneath them, as places in `seen`.
-    pub(crate) beneath: Vec<usize>,
-    pub(crate) tolerance_px: f64,
-    pub(crate) visited: usize,
-    pub(crate) culled: usize,
-    /// One for each view, of each in `seen`.
-    sights: Vec<Sight>,
-    roots: Vec<Seen>,
-    root_sights: Vec<Sight>,
-    heap: BinaryHeap<Candidate>,
-    lenses: Vec<Lens>,
-    /// Pages that gave way to their children, and their least error where they are seen, over the
-    /// largest with which they still show.
-    refined: Vec<(usize, f64)>,
-}
-
-/// What is next: a page to give way to its children, a root to be drawn at all, or datasets to be
-/// looked at.
-#[derive(Clone, Copy, Debug)]
-struct Candidate {
-    pixels: f64,
-    place: usize,
-    step: Step,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Step {
-    /// `place` is one in `seen`.
-    Refine,
-    /// `place` is one in `roots`.
-    Draw,
-    /// `place` is a dataset's slot.
-    Open,
-    /// `place` is a branch of the tree over the datasets.
-    Climb,
-}
 
 /// Says which datasets are hidden.
 type Hides = dyn Fn(&DatasetInfo) -> bool + Send + Sync;
@@ -115,16 +52,21 @@ impl fmt::Debug for Hidden {
     }
 }
 
-/// The pages that `views` need of what is not hidden, with their ancestors within `allowance` bytes.
-/// No view needs none.
-pub(crate) fn search(
-    scene: &Scene,
-    memo: &mut Memo,
-    hidden: &Hidden,
-    views: &[View],
-    allowance: usize,
-    found: &mut Found,
-) {
+/// What is searched for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Wish<'a> {
+    /// None need nothing.
+    pub(crate) views: &'a [View],
+    pub(crate) hidden: &'a Hidden,
+    /// Bytes of all pages in sight.
+    pub(crate) allowance: usize,
+    /// Whether pages are found that show beneath others.
+    pub(crate) blends: bool,
+}
+
+/// The pages that some views need of what is not hidden, with their ancestors within an allowance.
+pub(crate) fn search(scene: &Scene, memo: &mut Memo, wish: Wish<'_>, found: &mut Found) {
+    let Wish { views, hidden, allowance, blends } = wish;
     memo.begin();
     found.clear();
     let Some(first) = views.first() else {
@@ -134,7 +76,7 @@ pub(crate) fn search(
     found.tolerance_px = first.tolerance_px;
     found.lenses.extend(views.iter().map(|view| Lens::new(view, scene.radii())));
     let mut lenses = std::mem::take(&mut found.lenses);
-    let search = Search { scene, views, lenses: &lenses };
+    let search = Search { scene, views, lenses: &lenses, blends };
 
     if let Some(trunk) = scene.tree.trunk() {
         search.climb(trunk, found);
@@ -178,6 +120,7 @@ struct Search<'a> {
     scene: &'a Scene,
     views: &'a [View],
     lenses: &'a [Lens],
+    blends: bool,
 }
 
 impl Search<'_> {
@@ -316,8 +259,10 @@ impl Search<'_> {
             return;
         }
         *bytes += more;
-        let least = self.least(&parent, dataset.info.kind, first, found);
-        found.refined.push((place, least));
+        if self.blends {
+            let least = self.least(&parent, dataset.info.kind, first, found);
+            found.refined.push((place, least));
+        }
         for place in first..found.seen.len() {
             let pixels = found.seen[place].pixels;
             found.heap.push(Candidate { pixels, place, step: Step::Refine });
@@ -473,42 +418,3 @@ impl Search<'_> {
         pixels.fold(0.0, f64::max)
     }
 }
-
-impl Found {
-    fn clear(&mut self) {
-        let Self { seen, wanted, unindexed, beneath, refined, .. } = self;
-        beneath.clear();
-        refined.clear();
-        let Self { sights, roots, root_sights, heap, .. } = self;
-        seen.clear();
-        wanted.clear();
-        unindexed.clear();
-        sights.clear();
-        roots.clear();
-        root_sights.clear();
-        heap.clear();
-        (self.tolerance_px, self.visited, self.culled) = (f64::INFINITY, 0, 0);
-    }
-}
-
-/// The next is the one with the largest error; of equals, the one found first.
-impl Ord for Candidate {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let pixels = self.pixels.total_cmp(&other.pixels);
-        pixels.then(self.step.cmp(&other.step)).then(other.place.cmp(&self.place))
-    }
-}
-
-impl PartialOrd for Candidate {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Candidate {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-
-impl Eq for Candidate {}

@@ -9,11 +9,12 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 
 use crate::engine::{ADOPT_WITHIN, Engine};
+use crate::found::Found;
 use crate::matching::{Match, Matcher};
 use crate::memo::Memo;
 use crate::motion::Motion;
 use crate::scene::Scene;
-use crate::search::{Found, Hidden, search};
+use crate::search::{Hidden, Wish, search};
 use crate::selection::{DatasetInfo, Datasets, ResidentPage, Selection};
 use crate::store::{PageName, Store};
 use crate::view::{Lens, View};
@@ -213,11 +214,12 @@ impl Session {
         if let Some(scene) = self.engine.shared().try_scene() {
             self.expect(scene, views, now);
         }
-        let allowance = self.allowance();
+        let (hidden, allowance, blends) = (&self.hidden, self.allowance(), self.blends);
+        let wish = Wish { views, hidden, allowance, blends };
         let mut visited = 0;
         let next = self.next.as_mut().map(|(_, next)| next);
         for Showing { scene, found } in next.into_iter().chain([&mut self.shown]) {
-            search(scene, &mut self.memo, &self.hidden, views, allowance, found);
+            search(scene, &mut self.memo, wish, found);
             visited += found.visited;
         }
         self.engine.visited.fetch_add(visited as u64, Relaxed);
@@ -253,7 +255,6 @@ impl Session {
     /// Turns what was found into a selection and into requests.
     fn select(&mut self, store: &mut Store, now: Instant) {
         let mut requests = Vec::new();
-        self.matcher.blends = self.blends;
         let Showing { scene, found } = &self.shown;
         let mut matched = self.matcher.compare(scene, found, store, &mut requests);
         if let Some((since, next)) = &self.next {
@@ -338,8 +339,7 @@ impl Session {
         let Showing { scene, found } = &self.shown;
         let [before, now] = &mut self.wanted;
         now.clear();
-        let beneath = if self.blends { &found.beneath[..] } else { &[] };
-        let places = found.wanted.iter().chain(beneath);
+        let places = found.wanted.iter().chain(&found.beneath);
         now.extend(places.map(|&place| found.seen[place].name(scene)));
         now.sort_unstable();
         for name in now.iter().filter(|name| before.binary_search(name).is_err()) {
@@ -361,7 +361,9 @@ impl Session {
         if let (Some(view), 1) =
             (self.motion.predict(Self::LOOK_AHEAD, self.shown.scene.radii()[0].0), self.views.len())
         {
-            search(&self.shown.scene, &mut self.memo, &self.hidden, &[view], allowance, found);
+            let (hidden, blends) = (&self.hidden, self.blends);
+            let wish = Wish { views: &[view], hidden, allowance, blends };
+            search(&self.shown.scene, &mut self.memo, wish, found);
             self.matcher.expect(&self.shown.scene, found, store, &mut needs);
         }
         store.replace_ahead(self.number, needs);

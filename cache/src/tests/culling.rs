@@ -11,10 +11,11 @@ use areoid_preprocess::resample::target::{Split, split};
 use proptest::prelude::*;
 
 use super::*;
+use crate::found::{Found, Seen};
 use crate::memo::Memo;
 use crate::scene::Newcomer;
 use crate::scene::Scene;
-use crate::search::{Found, Seen};
+use crate::search::{Hidden, Wish};
 
 fn scene(datasets: &[&Gated]) -> Scene {
     let newcomers = datasets.iter().map(|dataset| {
@@ -27,8 +28,9 @@ fn scene(datasets: &[&Gated]) -> Scene {
 
 fn search(scene: &Scene, memo: &mut Memo, view: &View, allowance: usize) -> Found {
     let mut found = Found::default();
-    let (hidden, views) = (crate::search::Hidden::default(), std::slice::from_ref(view));
-    crate::search::search(scene, memo, &hidden, views, allowance, &mut found);
+    let (hidden, views) = (&Hidden::default(), std::slice::from_ref(view));
+    let wish = Wish { views, hidden, allowance, blends: true };
+    crate::search::search(scene, memo, wish, &mut found);
     found
 }
 
