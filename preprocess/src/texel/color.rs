@@ -192,7 +192,7 @@ impl Light {
             return;
         }
         for (eight, others) in others.as_chunks::<8>().0.iter().enumerate() {
-            if u64::from_ne_bytes(*others) == 0 {
+            if u64::from_le_bytes(*others) == 0 {
                 continue;
             }
             for at in (8 * eight..8 * eight + 8).filter(|at| others[at % 8] != 0) {
