@@ -68,7 +68,7 @@ impl Args {
                     warn_of_full_disk(&screen, estimate, &request.catalog);
                 }
                 Event::ShortOfMemory { least_bytes } => screen.say(format!(
-                    "warning: two work units need more than --memory-mib {}: {} is the least",
+                    "warning: a step of the work needs more than --memory-mib {}: {} is the least",
                     request.memory_bytes >> 20,
                     least_bytes.div_ceil(1 << 20)
                 )),
@@ -240,7 +240,7 @@ fn text(outcome: &Outcome) -> String {
         }
         let _ = write!(text, "\n  beside one pyramid {} texels", told(saved.texels));
         if let Some(bytes) = saved.bytes {
-            let _ = write!(text, ", and about {} bytes", told(bytes));
+            let _ = write!(text, ", and {} bytes", told(bytes));
         }
     }
     text

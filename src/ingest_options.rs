@@ -100,8 +100,8 @@ pub(crate) struct IngestOptions {
     #[arg(long, value_enum, value_name = "RULE", default_value = "mean")]
     mip: MipArg,
 
-    /// Memory to use: what exceeds it waits in a file beside the archive. Two work units must fit,
-    /// of 64 leaves each.
+    /// Memory to use: what exceeds it waits in a file beside the archive. What a step of the
+    /// work takes must fit, which is told where it does not.
     #[arg(long, value_name = "MIB", default_value_t = 2048)]
     memory_mib: u64,
 

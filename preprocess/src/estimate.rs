@@ -113,48 +113,16 @@ impl Estimate {
         if self.texels < WORTH_MEASURING_PX {
             return self;
         }
-        let rows = rows_of_pages(description);
-        let rows = [1, 3, 5].map(|sixth| sixth * rows / 6);
         let largest = (self.texels / SHARE).min(memory_bytes / 4);
-        let measured = Sample::choose(description, origin, rows, largest)
-            .and_then(|sample| sample.measure_alone(origin, scratch, go_on));
-        Self {
-            measured: measured
-                .map(|figures| figures.scaled(self, texels_of_sample(description), origin, left)),
-            ..self
-        }
+        let sample = Sample::choose(description, origin, largest);
+        // A few leaves keep a few threads busy badly, and one well.
+        let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().ok();
+        let measured = sample
+            .zip(alone)
+            .and_then(|(sample, alone)| alone.install(|| sample.measure(origin, scratch, go_on)));
+        Self { measured: measured.map(|figures| figures.scaled(self, origin, left)), ..self }
     }
 }
-
-/// About how many bytes an archive has for each texel in some rows of pages, three of them; `None` where
-/// that would cost too much or cannot be read.
-pub(crate) fn bytes_per_texel(
-    description: &Description,
-    origin: &dyn Origin,
-    rows: [u32; 3],
-    scratch: &Arc<Scratch>,
-    memory_bytes: u64,
-) -> Option<f64> {
-    let texels = Estimate::of(description.grid.pyramid()).texels;
-    let largest = (2 * texels / SHARE).min(memory_bytes / 4);
-    let sample = Sample::choose(description, origin, rows, largest)?;
-    let figures = sample.measure_alone(origin, scratch, &mut || Proceed::Yes)?;
-    Some(figures.bytes as f64 * ABOVE / texels_of_sample(description))
-}
-
-/// Rows of pages of the finest level.
-fn rows_of_pages(description: &Description) -> u32 {
-    let pyramid = description.grid.pyramid();
-    pyramid.pages(pyramid.finest()).map_or(0, |(rows, _)| rows)
-}
-
-/// Texels of the leaves of a sample.
-fn texels_of_sample(description: &Description) -> f64 {
-    f64::from(LEAVES) * f64::from(description.grid.pyramid().interior()).powi(2)
-}
-
-/// Levels above the leaves have a quarter of them in a sample, a third in all.
-const ABOVE: f64 = (4.0 / 3.0) / (5.0 / 4.0);
 
 /// Who is asked whether to go on.
 type GoOn<'a> = &'a mut (dyn FnMut() -> Proceed + Send);
@@ -175,13 +143,8 @@ struct Figures {
 }
 
 impl Sample {
-    /// Leaves in three rows, or in the one in the middle, for which at most so many pixels are decoded.
-    fn choose(
-        description: &Description,
-        origin: &dyn Origin,
-        rows_of_pairs: [u32; 3],
-        largest_px: u64,
-    ) -> Option<Self> {
+    /// Leaves for which at most so many pixels are decoded.
+    fn choose(description: &Description, origin: &dyn Origin, largest_px: u64) -> Option<Self> {
         let pyramid = description.grid.pyramid();
         let (rows, cols) = pyramid.pages(pyramid.finest())?;
         if rows < 2 || cols < 3 {
@@ -194,10 +157,9 @@ impl Sample {
             let left = col.min(cols - 3);
             [leaf(left), leaf(left + 1)]
         };
-        let [first, middle, last] = rows_of_pairs;
-        let spread = [(first, 5), (middle, 1), (last, 3)];
-        let spread = spread.map(|(row, sixth)| pair(row, at(sixth, cols))).concat();
-        let in_a_row = [1, 3, 5].map(|sixth| pair(middle, at(sixth, cols))).concat();
+        let spread = [pair(at(1, rows), at(5, cols)), pair(at(3, rows), at(1, cols))];
+        let spread = [spread[0], spread[1], pair(at(5, rows), at(3, cols))].concat();
+        let in_a_row = [1, 3, 5].map(|sixth| pair(at(3, rows), at(sixth, cols))).concat();
         let affordable = |leaves: &Vec<PageAddress>| origin.decoded_for(leaves) <= largest_px;
         let leaves = [spread, in_a_row].into_iter().find(affordable)?;
 
@@ -215,17 +177,6 @@ impl Sample {
         let pages = placed.grid.pyramid().pages(placed.grid.pyramid().finest());
         let description = Description { grid: placed.grid, ..description.clone() };
         (pages == Some((1, LEAVES))).then_some(Self { leaves, description })
-    }
-
-    /// A few leaves keep a few threads busy badly, and one well.
-    fn measure_alone(
-        &self,
-        origin: &dyn Origin,
-        scratch: &Arc<Scratch>,
-        go_on: GoOn<'_>,
-    ) -> Option<Figures> {
-        let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().ok()?;
-        alone.install(|| self.measure(origin, scratch, go_on))
     }
 
     fn measure(
@@ -268,15 +219,16 @@ impl Sample {
 }
 
 impl Figures {
-    /// Of all, where the sample has so many texels.
-    fn scaled(&self, all: Estimate, texels: f64, origin: &dyn Origin, left: f64) -> Measured {
+    fn scaled(&self, all: Estimate, origin: &dyn Origin, left: f64) -> Measured {
         let threads = rayon::current_num_threads() as f64;
         let blocks = origin.blocks() as f64 / self.decoded_blocks.max(1) as f64;
-        let times = ABOVE * all.texels as f64 / texels;
-        let building_s = self.building_s * times;
+        let texels = f64::from(LEAVES) * f64::from(origin.grid().pyramid().interior()).powi(2);
+        // Levels above the leaves have a quarter of them here, a third in all.
+        let above = (4.0 / 3.0) / (5.0 / 4.0);
+        let building_s = self.building_s * above * all.texels as f64 / texels;
         let seconds = self.reading_s * blocks + building_s;
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a length")]
-        let bytes = (self.bytes as f64 * times) as u64;
+        let bytes = (self.bytes as f64 * above * all.texels as f64 / texels) as u64;
         Measured { bytes, seconds: left * seconds / threads, decoded_blocks: self.decoded_blocks }
     }
 }

@@ -92,7 +92,7 @@ fn memory_is_bounded_whatever_the_frontier() {
     let (least, the_same, warning) = ingest("1", MipRule::Mean);
     let wanted = warning.as_deref().and_then(|warning| {
         let wanted =
-            warning.strip_prefix("warning: two work units need more than --memory-mib 1: ");
+            warning.strip_prefix("warning: a step of the work needs more than --memory-mib 1: ");
         wanted?.strip_suffix(" is the least")
     });
     let wanted: u64 = wanted.unwrap_or_else(|| panic!("{warning:?}")).parse().unwrap();

@@ -37,7 +37,7 @@ use self::memory::Memory;
 use self::place::{Ready, make_ready, threads, write};
 use self::plan::{Part, Plan, plan};
 use self::request::{Watch, tell};
-use self::saved::saved;
+use self::saved::{length, saved};
 use self::tally::{Tally, units};
 use crate::build::{Proceed, Progress};
 use crate::estimate::Estimate;
@@ -108,7 +108,7 @@ pub fn ingest(
             outcome.resumed_units =
                 plan.parts.iter().map(|part| units(&part.description) as u64).sum();
             let parts = all.iter().map(|(archive, _)| whole(archive)).collect();
-            return Ok(outcome.of((request, &plan, &threads), parts, start));
+            return Ok(outcome.of(&plan, parts, start));
         }
         left.resize_with(plan.parts.len(), || None);
     }
@@ -121,8 +121,9 @@ pub fn ingest(
     watch(Event::Publishing);
     let made = standing.iter().map(made).collect();
     outcome.generation = publish(disk, request, &plan, standing)?;
-    outcome.decoded_blocks = plan.parts.iter().map(|part| part.origin.decoded_blocks()).sum();
-    Ok(outcome.of((request, &plan, &threads), made, start))
+    let read = plan.parts.iter().chain(&plan.instead_of);
+    outcome.decoded_blocks = read.map(|part| part.origin.decoded_blocks()).sum();
+    Ok(outcome.of(&plan, made, start))
 }
 
 /// What is said of an archive's levels, and its length.
@@ -145,19 +146,14 @@ fn made(standing: &Standing<'_>) -> Figures {
 
 impl Outcome {
     /// With what was made of each part.
-    fn of(
-        self,
-        (request, plan, threads): (&Request, &Plan, &ThreadPool),
-        figures: Vec<Figures>,
-        start: Instant,
-    ) -> Self {
+    fn of(self, plan: &Plan, figures: Vec<Figures>, start: Instant) -> Self {
         let made = |(part, (summary, bytes)): (&Part, Figures)| {
             let (name, grid) = (part.description.dataset.clone(), part.description.grid.clone());
             PartMade { name, grid, summary, bytes }
         };
         let parts: Vec<PartMade> = plan.parts.iter().zip(figures).map(made).collect();
         Self {
-            saved: plan.instead_of.as_ref().map(|whole| saved(request, whole, threads, &parts)),
+            saved: plan.instead_of.as_ref().map(|whole| saved(whole, plan.instead_bytes, &parts)),
             bytes: parts.iter().map(|part| part.bytes).sum(),
             parts,
             seconds: start.elapsed().as_secs_f64(),
@@ -193,6 +189,9 @@ fn build_all(
     }
     if request.memory_bytes < least_bytes {
         tell(watch, Event::ShortOfMemory { least_bytes })?;
+    }
+    if let Some(whole) = &mut plan.instead_of {
+        plan.instead_bytes = length(request, whole, threads, watch)?;
     }
     let (mut ready, mut estimates) = (Vec::new(), Vec::new());
     for (part, standing) in plan.parts.iter().zip(&*standing) {

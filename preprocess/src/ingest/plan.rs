@@ -41,6 +41,8 @@ pub(super) struct Plan {
     pub(super) is_group: bool,
     /// What a group is made instead of: one pyramid on the rasters' own grid. Nobody keeps it.
     pub(super) instead_of: Option<Part>,
+    /// How long its archive would be, once it is known.
+    pub(super) instead_bytes: Option<u64>,
 }
 
 /// A dataset to be built.
@@ -106,7 +108,7 @@ pub(super) fn plan(
     };
     let instead_of = instead_of.map(|origin| part(("", false, origin)));
     let parts = parts.into_iter().map(part).collect();
-    Ok(Plan { called, parts, is_group, instead_of })
+    Ok(Plan { called, parts, is_group, instead_of, instead_bytes: None })
 }
 
 /// What part of a group some leaves are, whether they are resampled, and where they come from.

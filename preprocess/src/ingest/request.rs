@@ -52,8 +52,8 @@ pub struct Request {
     pub existing: Existing,
     /// What becomes of an unfinished build of this dataset.
     pub unfinished: Unfinished,
-    /// Memory to use, in bytes: what exceeds it goes to a file beside the archive. Two work units
-    /// and their parents must fit, whatever it is.
+    /// Memory to use, in bytes: what exceeds it goes to a file beside the archive. What a
+    /// step of the work takes must fit, whatever it is.
     pub memory_bytes: u64,
     /// How much work an unfinished build may lose.
     pub note_every: Duration,
@@ -228,8 +228,8 @@ pub struct PartMade {
 pub struct Saved {
     /// Texels of the finest levels.
     pub texels: i64,
-    /// So many bytes of archives: up to 16 Mi texels as the one pyramid is, beyond that about as much, by
-    /// a few of its leaves about the poles. `None` where that cannot be told.
+    /// Bytes of archives. `None` where all was there already, and of globes beyond 16 Mi texels: to know
+    /// it the one pyramid is built.
     pub bytes: Option<i64>,
 }
 
