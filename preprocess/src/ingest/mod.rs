@@ -90,11 +90,7 @@ pub fn ingest(
     };
     if let (Some(catalog), Some(archives)) = (&catalog, there) {
         (outcome.already_there, outcome.generation) = (true, catalog.generation());
-        return Ok(outcome.of(
-            (request, &plan, &threads),
-            archives.iter().map(whole).collect(),
-            start,
-        ));
+        return Ok(outcome.of(&plan, archives.iter().map(whole).collect(), start));
     }
 
     let mut left = Vec::new();
