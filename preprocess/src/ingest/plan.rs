@@ -106,7 +106,10 @@ pub(super) fn plan(
         },
         origin,
     };
-    let instead_of = instead_of.map(|origin| part(("", false, origin)));
+    let instead_of = instead_of.map(|origin| {
+        let Part { description, origin } = part(("", false, origin));
+        Part { description: Description { dataset: called.clone(), ..description }, origin }
+    });
     let parts = parts.into_iter().map(part).collect();
     Ok(Plan { called, parts, is_group, instead_of, instead_bytes: None })
 }
