@@ -71,17 +71,12 @@ pub(crate) enum Step {
 impl Found {
     /// Forgets what was found, and keeps the room for it.
     pub(crate) fn clear(&mut self) {
-        let Self { seen, wanted, unindexed, beneath, refined, .. } = self;
-        beneath.clear();
-        refined.clear();
-        let Self { sights, roots, root_sights, heap, .. } = self;
-        seen.clear();
-        wanted.clear();
-        unindexed.clear();
-        sights.clear();
-        roots.clear();
-        root_sights.clear();
+        let Self { seen, wanted, unindexed, beneath, sights, roots, root_sights, heap, .. } = self;
+        [wanted, unindexed, beneath].into_iter().for_each(Vec::clear);
+        [seen, roots].into_iter().for_each(Vec::clear);
+        [sights, root_sights].into_iter().for_each(Vec::clear);
         heap.clear();
+        self.refined.clear();
         (self.tolerance_px, self.visited, self.culled) = (f64::INFINITY, 0, 0);
     }
 }

@@ -14,7 +14,10 @@
 
 use areoid_formats::archive::Description;
 use areoid_formats::page::Kind;
+use rayon::ThreadPool;
 
+use super::plan::Part;
+use super::request::Request;
 use crate::build::is_of_whole_heights;
 use crate::lowpass;
 use crate::origin::Origin;
@@ -43,16 +46,12 @@ const PAGES_PER_THREAD: u64 = 4;
 const FEWEST_TOGETHER: u64 = 8;
 
 impl Memory {
-    /// Shares `bytes` out for a build by so many threads: they look at fewer pages together where they
-    /// have less.
-    pub(super) fn share(
-        bytes: u64,
-        threads: usize,
-        description: &Description,
-        origin: &dyn Origin,
-    ) -> Self {
-        let step = Step::of(description, origin);
-        let threads = threads as u64;
+    /// Shares the memory of a request out for the build of a part: threads look at fewer pages together
+    /// where they have less.
+    pub(super) fn share(request: &Request, threads: &ThreadPool, part: &Part) -> Self {
+        let step = Step::of(&part.description, &*part.origin);
+        let bytes = request.memory_bytes;
+        let threads = threads.current_num_threads() as u64;
         let fixed = EVERYTHING_ELSE + PER_THREAD * threads;
         let mut together = (PAGES_PER_THREAD * threads).max(FEWEST_TOGETHER);
         while together > FEWEST_TOGETHER && fixed + step.bytes(together) > bytes {

@@ -171,13 +171,7 @@ fn build_all(
     let mut least_bytes = 0;
     for (part, standing) in plan.parts.iter().zip(&*standing) {
         let Standing::Build(underway) = standing else { continue };
-        let memory = Memory::share(
-            request.memory_bytes,
-            threads.current_num_threads(),
-            &part.description,
-            &*part.origin,
-        );
-        least_bytes = least_bytes.max(memory.least_bytes);
+        least_bytes = least_bytes.max(Memory::share(request, threads, part).least_bytes);
         if let Some(leftover) = underway.leftover.filter(|leftover| !told.contains(leftover)) {
             told.push(leftover);
             tell(watch, Event::Leftover(leftover))?;

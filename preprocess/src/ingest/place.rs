@@ -4,6 +4,7 @@ use std::io::{self, BufWriter, Write};
 use std::sync::Arc;
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::thread;
+use std::time::Duration;
 
 use areoid_formats::archive::{Description, Written};
 use areoid_formats::catalog::Build;
@@ -94,17 +95,17 @@ pub(super) fn threads(request: &Request) -> Result<ThreadPool, IngestError> {
 /// Makes ready for a build and measures what it will take.
 pub(super) fn make_ready(
     request: &Request,
-    Part { description, origin }: &Part,
+    part: &Part,
     (build, begun): (&Build<'_>, Option<&Begun>),
     threads: &ThreadPool,
     watch: Watch<'_>,
 ) -> Result<Ready, IngestError> {
+    let Part { description, origin } = part;
     let named = begun.and_then(|begun| begun.note.as_ref()).map(Note::slots);
     let scratch = Scratch::new(build.scratch()?, &named.unwrap_or_default());
     let scratch = scratch.map_err(|error| failed(description, BuildError::Scratch(error)))?;
     let scratch = Arc::new(scratch);
-    let memory =
-        Memory::share(request.memory_bytes, threads.current_num_threads(), description, &**origin);
+    let memory = Memory::share(request, threads, part);
     tell(watch, Event::Measuring)?;
     let pyramid = description.grid.pyramid();
     let done = begun.map_or(0, |begun| begun.archive.units) as f64;
@@ -124,20 +125,14 @@ pub(super) fn make_ready(
 /// Builds the archive in `build`.
 pub(super) fn write(
     request: &Request,
-    Part { description, origin }: &mut Part,
+    part: &mut Part,
     (build, begun): (&mut Build<'_>, Option<Begun>),
     Ready { scratch, memory, .. }: Ready,
     threads: &ThreadPool,
     watch: &mut (dyn FnMut(Progress) -> Proceed + Send),
 ) -> Result<Written, IngestError> {
-    // A quarter for the rasters' blocks, which wait only where strips are wide.
-    let Memory { spare_bytes, pages_together, .. } = memory;
-    let aside = Arc::new(Aside::new(Arc::clone(&scratch)));
-    origin.spill(&Arc::new(Overflow::new(aside, spare_bytes / 4)));
-    let frontier_bytes = spare_bytes - spare_bytes / 4;
-    let note_every = request.note_every;
-    let means = Means { scratch, frontier_bytes, pages_together, note_every };
-    let origin = &**origin;
+    let means = means(part, scratch, memory, request.note_every);
+    let Part { description, origin } = &*part;
     let sync_now = build.syncing()?;
     let built = thread::scope(|scope| {
         let (sync, asked) = sync_channel(0);
@@ -145,7 +140,7 @@ pub(super) fn write(
         let sink = BufWriter::with_capacity(WRITTEN_TOGETHER, build);
         let site = Buffered { sink, unsynced: 0, sync };
         let built =
-            threads.install(|| build::build(description, origin, site, &means, begun, watch));
+            threads.install(|| build::build(description, &**origin, site, &means, begun, watch));
         let built = built.and_then(|(Buffered { sink, .. }, written)| match sink.into_inner() {
             Ok(_) => Ok(written),
             Err(error) => Err(BuildError::Write(error.into_error())),
@@ -156,8 +151,29 @@ pub(super) fn write(
             Err(panic) => std::panic::resume_unwind(panic),
         }
     });
+    ended(part, built)
+}
+
+/// What a part is built with, its memory shared out: a quarter of what is spare for the rasters' blocks,
+/// which wait only where strips are wide.
+pub(super) fn means(
+    part: &mut Part,
+    scratch: Arc<Scratch>,
+    memory: Memory,
+    note_every: Duration,
+) -> Means {
+    let Memory { spare_bytes, pages_together, .. } = memory;
+    let aside = Arc::new(Aside::new(Arc::clone(&scratch)));
+    part.origin.spill(&Arc::new(Overflow::new(aside, spare_bytes / 4)));
+    Means { scratch, frontier_bytes: spare_bytes - spare_bytes / 4, pages_together, note_every }
+}
+
+/// How a build ended: if it failed because its rasters changed, that is said.
+pub(super) fn ended<T>(
+    Part { description, origin }: &Part,
+    built: Result<T, BuildError>,
+) -> Result<T, IngestError> {
     if !matches!(built, Err(BuildError::Interrupted)) {
-        // Rasters that changed say why they could not be read.
         origin.check_unchanged()?;
     }
     built.map_err(|error| failed(description, error))

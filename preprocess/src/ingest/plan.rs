@@ -39,7 +39,7 @@ pub(super) struct Plan {
     pub(super) parts: Vec<Part>,
     /// Whether they are a group.
     pub(super) is_group: bool,
-    /// What a group is made instead of: one pyramid on the rasters' own grid. Nobody keeps it.
+    /// What a group is made instead of: one pyramid on the rasters' own grid, which nobody keeps.
     pub(super) instead_of: Option<Part>,
     /// How long its archive would be, once it is known.
     pub(super) instead_bytes: Option<u64>,
@@ -89,7 +89,7 @@ pub(super) fn plan(
     let is_group = parts.len() > 1;
     let part = |(part, is_resampled, origin): PartFrom| Part {
         description: Description {
-            dataset: if is_group { format!("{called}.{part}") } else { called.clone() },
+            dataset: if part.is_empty() { called.clone() } else { format!("{called}.{part}") },
             kind,
             body: body.clone(),
             grid: origin.grid().clone(),
@@ -106,15 +106,13 @@ pub(super) fn plan(
         },
         origin,
     };
-    let instead_of = instead_of.map(|origin| {
-        let Part { description, origin } = part(("", false, origin));
-        Part { description: Description { dataset: called.clone(), ..description }, origin }
-    });
+    let instead_of = instead_of.map(|origin| part(("", false, origin)));
     let parts = parts.into_iter().map(part).collect();
     Ok(Plan { called, parts, is_group, instead_of, instead_bytes: None })
 }
 
-/// What part of a group some leaves are, whether they are resampled, and where they come from.
+/// What part of a group some leaves are, or nothing if they are all there is; whether they are resampled,
+/// and where they come from.
 type PartFrom = (&'static str, bool, Box<dyn Origin>);
 
 /// Where the leaves of each part come from, and those of [`Plan::instead_of`].

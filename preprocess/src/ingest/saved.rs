@@ -1,4 +1,4 @@
-//! How long one pyramid would be, of which a group is made instead: it is built, and written nowhere.
+//! How long the one pyramid would be that a group is made instead of: it is built, and written nowhere.
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -8,13 +8,12 @@ use areoid_formats::catalog::CatalogError;
 use rayon::ThreadPool;
 
 use super::memory::Memory;
+use super::place::{ended, means};
 use super::plan::Part;
 use super::request::{Event, IngestError, PartMade, Request, Saved, Watch};
-use crate::build::{self, Means, Site};
-use crate::build_error::BuildError;
+use crate::build::{self, Site};
 use crate::estimate::Estimate;
-use crate::once::Overflow;
-use crate::scratch::{Aside, Scratch};
+use crate::scratch::Scratch;
 
 /// Larger ones are not built for it.
 const MOST_TEXELS: u64 = 16 << 20;
@@ -34,40 +33,27 @@ pub(super) fn saved(instead_of: &Part, bytes: Option<u64>, parts: &[PartMade]) -
 ///
 /// # Errors
 ///
-/// [`IngestError::Build`], also if it is interrupted.
+/// Those of a build, also if it is interrupted; [`IngestError::Catalog`] if there is no room for it.
 pub(super) fn length(
     request: &Request,
-    Part { description, origin }: &mut Part,
+    part: &mut Part,
     threads: &ThreadPool,
     watch: Watch<'_>,
 ) -> Result<Option<u64>, IngestError> {
-    if Estimate::of(description.grid.pyramid()).texels > MOST_TEXELS {
+    if Estimate::of(part.description.grid.pyramid()).texels > MOST_TEXELS {
         return Ok(None);
     }
     let folder = &request.catalog;
-    let file = tempfile::tempfile_in(folder)
-        .map_err(|source| CatalogError::io("make a scratch file in", folder, source))?;
-    let failed = |source| {
-        let dataset = description.dataset.clone();
-        IngestError::Build { dataset, source: Box::new(source) }
-    };
-    let scratch = Scratch::new(file, &[]).map_err(|error| failed(BuildError::Scratch(error)))?;
-    let scratch = Arc::new(scratch);
-    let count = threads.current_num_threads();
-    let memory = Memory::share(request.memory_bytes, count, description, &**origin);
-    let blocks_bytes = memory.spare_bytes / 4;
-    let aside = Arc::new(Aside::new(Arc::clone(&scratch)));
-    origin.spill(&Arc::new(Overflow::new(aside, blocks_bytes)));
-    let means = Means {
-        scratch,
-        frontier_bytes: memory.spare_bytes - blocks_bytes,
-        pages_together: memory.pages_together,
-        note_every: Duration::MAX,
-    };
+    let scratch = tempfile::tempfile_in(folder).and_then(|file| Scratch::new(file, &[]));
+    let scratch =
+        scratch.map_err(|source| CatalogError::io("make a scratch file in", folder, source))?;
+    let memory = Memory::share(request, threads, part);
+    let means = means(part, Arc::new(scratch), memory, Duration::MAX);
+    let Part { description, origin } = &*part;
     let go_on = |_| watch(Event::Measuring);
     let built =
         threads.install(|| build::build(description, &**origin, Nowhere, &means, None, go_on));
-    built.map(|(_, written)| Some(written.bytes)).map_err(failed)
+    ended(part, built).map(|(_, written)| Some(written.bytes))
 }
 
 /// Where an archive goes whose length alone is asked for.

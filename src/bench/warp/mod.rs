@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use serde_json::json;
 
 use self::accuracy::{ByWave, Errors, WAVELENGTHS_PX, ZONES};
-use self::ways::{Direction, Places, Program, SHARED, Way};
+use self::ways::{Direction, EXACT, Places, Program, SHARED, Way};
 use super::geotiff::{Blocks, Format, Place};
 use super::ingest::Setting;
 use super::pairs::find;
@@ -207,7 +207,7 @@ fn no_higher(direction: &Direction, ways: &[Way], errors: &[Option<ByWave>]) -> 
 }
 
 /// What is held against nobody: texels that are missing, the pole and the antimeridian against places
-/// like them elsewhere, and the spline's own errors.
+/// like them elsewhere and places found against exact ones, and the spline's own errors.
 fn of_our_own(direction: &Direction, ways: &[Way], errors: &[Option<ByWave>]) -> Vec<Target> {
     let ours = || ways.iter().zip(errors).filter(|(way, _)| way.program == Program::Areoid);
     let all = || ours().filter_map(|(_, errors)| errors.as_ref()).flatten();
@@ -215,6 +215,19 @@ fn of_our_own(direction: &Direction, ways: &[Way], errors: &[Option<ByWave>]) ->
     let what = format!("{}: texels missing, all kernels of areoid", direction.name);
     let mut targets = vec![Target::new(what, Relation::AtMost, 0.0, Some(missing as f64))];
     for (zone, name) in ZONES.iter().enumerate().skip(1) {
+        for kernel in EXACT {
+            let [own, exact] = [Places::Own, Places::Exact]
+                .map(|places| errors_of(Way::new(Program::Areoid, kernel, places), ways, errors));
+            let ratios = own.zip(exact).map(|(own, exact)| {
+                let pairs = own.iter().zip(exact);
+                pairs.map(move |(own, exact)| own[zone].rms / exact[zone].rms)
+            });
+            let what = format!(
+                "{}, {name}: root mean square error of {kernel} over its exact places, worst",
+                direction.name
+            );
+            targets.push(Target::new(what, Relation::AtMost, NO_HIGHER, ratios.and_then(worst)));
+        }
         for (way, errors) in ours().filter(|(way, _)| way.places == Places::Own) {
             let ratios = errors.as_ref().map(|errors| {
                 errors

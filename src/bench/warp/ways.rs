@@ -50,7 +50,7 @@ pub(super) const SHARED: [(&str, &str); 4] = [
 ];
 
 /// Kernels of this program that are measured with exact places, too.
-const EXACT: [&str; 2] = ["cubic", "spline 5"];
+pub(super) const EXACT: [&str; 2] = ["cubic", "spline 5"];
 
 impl Way {
     pub(super) const fn new(program: Program, kernel: &'static str, places: Places) -> Self {
