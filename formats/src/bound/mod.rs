@@ -43,6 +43,7 @@ mod holes;
 mod interval;
 mod lattice;
 mod leaf;
+mod solid;
 
 pub use interval::{Cells, Texel, rounded_up};
 pub use leaf::leaf_cells;
@@ -51,6 +52,7 @@ use std::marker::PhantomData;
 
 use interval::Terms;
 use lattice::Lattice;
+use solid::Solid;
 
 use crate::lanes::Wide;
 
@@ -169,6 +171,10 @@ impl<S: Texel, T: interval::Number<S>> Wide for Widening<'_, S, T> {
     #[inline(always)]
     fn run(self) {
         let Self { cells, parent, child, terms, .. } = self;
+        if solid::is_solid(parent, child) {
+            Solid::<S, T>::new(parent, *child, terms).widen(cells);
+            return;
+        }
         let interior = parent.side - 2;
         let (rows, cols) = child.size;
         let mut lattice = Lattice::<S, T>::new(parent, *child, terms);
