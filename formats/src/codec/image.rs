@@ -77,7 +77,7 @@ pub(super) fn write<L: Lane>(
     }
     let plane_len = plane_len(side);
     shared.planes.resize(L::BITS * plane_len, 0);
-    let live = split(predictor, lanes, side, band, &mut shared.planes);
+    let live = vectorized(Split { predictor, lanes, side, band, planes: &mut shared.planes });
 
     out.push(predictor as u8);
     let methods_at = out.len();
@@ -103,47 +103,55 @@ pub(super) fn write<L: Lane>(
 
 /// Splits residuals into planes; bit `k` of what it returns says that plane `k` has a one. The
 /// others are left as they are, or in part.
-fn split<L: Lane>(
+struct Split<'a, L> {
     predictor: Predictor,
-    lanes: &[L],
+    lanes: &'a [L],
     side: usize,
-    band: &mut [L],
-    planes: &mut [u8],
-) -> u32 {
-    let (stride, plane_len) = (stride(side), plane_len(side));
-    band.fill(L::default());
-    let mut live = L::default();
-    for (start, rows) in (0..plane_len).step_by(side).zip(lanes.chunks(BAND * side)) {
-        let first = start * BAND;
-        let mut above = &lanes[first.saturating_sub(side)..first];
-        let mut union = L::default();
-        for (row, residuals) in rows.chunks_exact(side).zip(band.chunks_exact_mut(stride)) {
-            let residuals = &mut residuals[..side];
-            residual_row(predictor, above, row, residuals);
-            union = residuals.iter().fold(union, |union, &residual| union.or(residual));
-            above = row;
-        }
-        // Rows past the last are empty.
-        let rows = rows.len() / side;
-        band[rows * stride..].fill(L::default());
+    band: &'a mut [L],
+    planes: &'a mut [u8],
+}
 
-        for (byte, planes) in planes.chunks_exact_mut(BAND * plane_len).enumerate() {
-            if union.byte(byte) != 0 {
-                if live.byte(byte) == 0 {
-                    // Bands before this one had nothing to write.
-                    planes.chunks_exact_mut(plane_len).for_each(|plane| plane[..start].fill(0));
-                }
-                let mut planes = planes.chunks_exact_mut(plane_len);
-                let mut next = |_| &mut planes.next().expect("eight planes")[start..][..side];
-                turn(band, byte, std::array::from_fn(&mut next));
-            } else if live.byte(byte) != 0 {
-                let planes = planes.chunks_exact_mut(plane_len);
-                planes.for_each(|plane| plane[start..][..side].fill(0));
+impl<L: Lane> Wide for Split<'_, L> {
+    type Output = u32;
+
+    #[inline(always)]
+    fn run(self) -> u32 {
+        let Self { predictor, lanes, side, band, planes } = self;
+        let (stride, plane_len) = (stride(side), plane_len(side));
+        band.fill(L::default());
+        let mut live = L::default();
+        for (start, rows) in (0..plane_len).step_by(side).zip(lanes.chunks(BAND * side)) {
+            let first = start * BAND;
+            let mut above = &lanes[first.saturating_sub(side)..first];
+            let mut union = L::default();
+            for (row, residuals) in rows.chunks_exact(side).zip(band.chunks_exact_mut(stride)) {
+                let residuals = &mut residuals[..side];
+                residual_row(predictor, above, row, residuals);
+                union = residuals.iter().fold(union, |union, &residual| union.or(residual));
+                above = row;
             }
+            // Rows past the last are empty.
+            let rows = rows.len() / side;
+            band[rows * stride..].fill(L::default());
+
+            for (byte, planes) in planes.chunks_exact_mut(BAND * plane_len).enumerate() {
+                if union.byte(byte) != 0 {
+                    if live.byte(byte) == 0 {
+                        // Bands before this one had nothing to write.
+                        planes.chunks_exact_mut(plane_len).for_each(|plane| plane[..start].fill(0));
+                    }
+                    let mut planes = planes.chunks_exact_mut(plane_len);
+                    let mut next = |_| &mut planes.next().expect("eight planes")[start..][..side];
+                    turn(band, byte, std::array::from_fn(&mut next));
+                } else if live.byte(byte) != 0 {
+                    let planes = planes.chunks_exact_mut(plane_len);
+                    planes.for_each(|plane| plane[start..][..side].fill(0));
+                }
+            }
+            live = live.or(union);
         }
-        live = live.or(union);
+        live.into()
     }
-    live.into()
 }
 
 /// Reads an image, and gives `sink` each row and its number, from row 0 down.

@@ -53,14 +53,13 @@ impl PlaneWriter {
     /// where it has a chance: on a one here and there it spends four bytes, on a change of byte
     /// therefore two, so that more changes than an eighth of the bytes are better sparse or raw.
     pub(super) fn write(&mut self, plane: &[u8], out: &mut Vec<u8>) -> Method {
-        let ones = count(plane, plane, |byte, _| byte != 0);
+        let Counts { ones, changes } = vectorized(Counting(plane));
         if ones == 0 {
             return Method::Zero;
         }
         let raw_len = plane.len() - plane.len() / 32;
         let sparse_len = plane.len().div_ceil(8) + ones;
 
-        let changes = count(plane, &plane[1..], |byte, next| byte != next);
         let lz4_len = if changes <= plane.len() / 8 {
             self.packed.resize(lz4_flex::block::get_maximum_output_size(plane.len()), 0);
             compress_into_with_table(plane, &mut self.packed, &mut self.table)
@@ -78,6 +77,29 @@ impl PlaneWriter {
         } else {
             out.extend_from_slice(&self.packed[..lz4_len]);
             Method::Lz4
+        }
+    }
+}
+
+/// What a plane is like.
+struct Counts {
+    /// Bytes that are not 0.
+    ones: usize,
+    /// Bytes that differ from the next.
+    changes: usize,
+}
+
+struct Counting<'a>(&'a [u8]);
+
+impl Wide for Counting<'_> {
+    type Output = Counts;
+
+    #[inline(always)]
+    fn run(self) -> Counts {
+        let Self(plane) = self;
+        Counts {
+            ones: count(plane, plane, |byte, _| byte != 0),
+            changes: count(plane, &plane[1..], |byte, next| byte != next),
         }
     }
 }

@@ -20,6 +20,7 @@
 
 use super::bits::Lane;
 use super::coverage;
+use crate::lanes::{Wide, vectorized};
 
 /// How a lane image was predicted. The numbers are those of the format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -223,53 +224,69 @@ fn fill_row<L: Lane>(coverage: &[u8], row: &mut [L], slopes: impl Iterator<Item 
 /// # Shapes
 ///
 /// `fill(y, row)` writes row `y`, `side` lanes; `rows` has room for three.
-#[inline(always)]
 pub(super) fn cheapest<L: Lane>(
     side: usize,
     coverage: Option<&[u8]>,
     rows: &mut [L],
     fill: impl Fn(usize, &mut [L]),
 ) -> (Predictor, u64) {
-    let apart = if side < 64 { 1 } else { 16 };
-    let (above, rows) = rows.split_at_mut(side);
-    let (row, rows) = rows.split_at_mut(side);
-    let residuals = &mut rows[..side];
-    let mut costs = [0_u64; 4];
-    for y in (apart - 1..side).step_by(apart) {
-        let filled = |y: usize, row: &mut [L]| {
-            fill(y, row);
-            if let Some(coverage) = coverage {
-                coverage::hold(&coverage[y * side..][..side], row);
-            }
-        };
-        filled(y, row);
-        let above = if y == 0 {
-            &[][..]
-        } else {
-            filled(y - 1, above);
-            &*above
-        };
-        let coverage = coverage.map(|coverage| &coverage[y * side..][..side]);
-        for (predictor, cost) in Predictor::ALL.into_iter().zip(&mut costs) {
-            residual_row(predictor, above, row, residuals);
-            *cost += u64::from(match coverage {
-                None => residuals.iter().map(|&residual| bit_length(residual)).sum::<u32>(),
-                Some(coverage) => {
-                    let bits = |(&residual, &covered): (&L, &u8)| {
-                        if covered == 0 { 0 } else { bit_length(residual) }
-                    };
-                    residuals.iter().zip(coverage).map(bits).sum::<u32>()
+    vectorized(Cheapest { side, coverage, rows, fill })
+}
+
+struct Cheapest<'a, L, F> {
+    side: usize,
+    coverage: Option<&'a [u8]>,
+    rows: &'a mut [L],
+    fill: F,
+}
+
+impl<L: Lane, F: Fn(usize, &mut [L])> Wide for Cheapest<'_, L, F> {
+    type Output = (Predictor, u64);
+
+    #[inline(always)]
+    fn run(self) -> (Predictor, u64) {
+        let Self { side, coverage, rows, fill } = self;
+        let apart = if side < 64 { 1 } else { 16 };
+        let (above, rows) = rows.split_at_mut(side);
+        let (row, rows) = rows.split_at_mut(side);
+        let residuals = &mut rows[..side];
+        let mut costs = [0_u64; 4];
+        for y in (apart - 1..side).step_by(apart) {
+            let filled = |y: usize, row: &mut [L]| {
+                fill(y, row);
+                if let Some(coverage) = coverage {
+                    coverage::hold(&coverage[y * side..][..side], row);
                 }
-            });
+            };
+            filled(y, row);
+            let above = if y == 0 {
+                &[][..]
+            } else {
+                filled(y - 1, above);
+                &*above
+            };
+            let coverage = coverage.map(|coverage| &coverage[y * side..][..side]);
+            for (predictor, cost) in Predictor::ALL.into_iter().zip(&mut costs) {
+                residual_row(predictor, above, row, residuals);
+                *cost += u64::from(match coverage {
+                    None => residuals.iter().map(|&residual| bit_length(residual)).sum::<u32>(),
+                    Some(coverage) => {
+                        let bits = |(&residual, &covered): (&L, &u8)| {
+                            if covered == 0 { 0 } else { bit_length(residual) }
+                        };
+                        residuals.iter().zip(coverage).map(bits).sum::<u32>()
+                    }
+                });
+            }
         }
-    }
-    let mut best = (Predictor::None, costs[0]);
-    for (predictor, cost) in Predictor::ALL.into_iter().zip(costs) {
-        if cost < best.1 {
-            best = (predictor, cost);
+        let mut best = (Predictor::None, costs[0]);
+        for (predictor, cost) in Predictor::ALL.into_iter().zip(costs) {
+            if cost < best.1 {
+                best = (predictor, cost);
+            }
         }
+        best
     }
-    best
 }
 
 /// The bit length of a residual, rounded to f32 first: its exponent, which is a vector instruction
