@@ -186,9 +186,9 @@ fn give<T: Copy + Default, C: Copy>(
     let all = left.zip(right).zip(inside);
     for (cells, ((left, right), inside)) in cells.chunks_mut(LANES).zip(all) {
         let mut ends = [T::default(); LANES];
-        for k in 0..LANES {
+        for (k, end) in ends.iter_mut().enumerate() {
             let edge = pick(pick(left.0[k], left.1[k]), pick(right.0[k], right.1[k]));
-            ends[k] = pick(pick(inside.0[k], inside.1[k]), edge);
+            *end = pick(pick(inside.0[k], inside.1[k]), edge);
         }
         for (cell, &end) in cells.iter_mut().zip(&ends) {
             *cell = widened(end, *cell);

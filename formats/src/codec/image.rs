@@ -288,7 +288,9 @@ mod tests {
                 // Whatever the buffers held before.
                 let mut band = vec![0xa5a5; (BAND + 1) * stride(side)];
                 let mut planes = vec![0xa5; 16 * plane_len(side)];
-                let live = split(predictor, &lanes, side, &mut band, &mut planes);
+                let into = (&mut band[..], &mut planes[..]);
+                let split = Split { predictor, lanes: &lanes, side, band: into.0, planes: into.1 };
+                let live = vectorized(split);
 
                 let expected = planes_by_hand(predictor, &lanes, side);
                 let (planes, expected) =
