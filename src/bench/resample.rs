@@ -18,7 +18,7 @@ use areoid_preprocess::mosaic::Layout;
 use areoid_preprocess::raster::RasterError;
 use areoid_preprocess::resample::kernel::{Kernel, RangeLimit};
 use areoid_preprocess::resample::transform::Precision;
-use areoid_preprocess::resample::{Resampler, Resampling};
+use areoid_preprocess::resample::{Resampler, Resampling, Texels};
 use areoid_preprocess::schedule::Schedule;
 use areoid_preprocess::texel::Planes;
 use areoid_preprocess::tile::Raw;
@@ -82,6 +82,7 @@ impl Args {
             kernel,
             limit: RangeLimit::None,
             precision: if self.exact { Precision::Exact } else { Precision::default() },
+            texels: Texels::Sampled,
         };
         let resampler = Resampler::new(grid.clone(), layout, placement, Kind::Height, resampling)?;
         let pyramid = grid.pyramid();

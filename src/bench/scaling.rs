@@ -20,8 +20,12 @@ const FULL_MEGAPIXELS: [f64; 4] = [50.0, 200.0, 450.0, 933.12];
 /// The limit given to one more ingest of the largest, in MiB.
 const MEMORY_MIB: u32 = 512;
 
-/// Large maps take long: no more runs than this.
-const MOST_RUNS: usize = 3;
+/// Large maps take long: no more rounds than this.
+const MOST_ROUNDS: usize = 5;
+
+/// Small maps are ingested again in a round until they are a share of the largest's pixels: what takes
+/// half a second differs from one time to the next by what is to be told.
+const SHARE_OF_LARGEST: f64 = 0.2;
 
 /// Processor seconds per pixel may differ so much from those of the smallest map.
 const LINEAR_WITHIN: f64 = 0.1;
@@ -38,7 +42,8 @@ struct Map {
     path: PathBuf,
     /// The limit given to its ingest; the program's own if `None`.
     memory_mib: Option<u32>,
-    runs: Vec<Taken>,
+    /// Its runs, round by round.
+    rounds: Vec<Vec<Taken>>,
     /// `peak_memory_bytes` as each ingest says it.
     said_peaks: Vec<f64>,
 }
@@ -50,20 +55,29 @@ pub(super) fn measure(setting: &Setting) -> io::Result<Chapter> {
     let mut maps = Vec::new();
     for (recipe, memory_mib) in recipes.chain(largest) {
         let path = recipe.make(&setting.rasters())?;
-        maps.push(Map { recipe, path, memory_mib, runs: Vec::new(), said_peaks: Vec::new() });
+        maps.push(Map { recipe, path, memory_mib, rounds: Vec::new(), said_peaks: Vec::new() });
     }
-    for _ in 0..setting.runs.min(MOST_RUNS) {
+    let largest = maps.iter().map(|map| map.recipe.megapixels()).fold(0.0, f64::max);
+    for _ in 0..setting.runs.min(MOST_ROUNDS) {
         for map in &mut maps {
             output::say(format!("running {}", map.recipe.name()));
-            map.run(setting)?;
+            let mut round = Vec::new();
+            while (round.len() as f64) < SHARE_OF_LARGEST * largest / map.recipe.megapixels() {
+                round.push(map.run(setting)?);
+            }
+            map.rounds.push(round);
         }
     }
 
     let rows = maps.iter().map(Map::row).collect();
-    let cost = |map: &Map| map.spread(|taken| taken.cpu_s / map.recipe.megapixels());
-    let first = maps.first().map(cost).map_or(f64::NAN, |cost| cost.median);
+    let smallest = maps.first().expect("there are five maps").costs();
     let free = maps.iter().filter(|map| map.memory_mib.is_none());
-    let off = free.map(|map| (cost(map).median / first - 1.0).abs()).fold(0.0, f64::max);
+    let off = free.map(|map| {
+        let costs = map.costs();
+        let ratios = costs.iter().zip(&smallest).map(|(cost, smallest)| cost / smallest);
+        (Spread::of(ratios).map_or(f64::NAN, |ratios| ratios.median) - 1.0).abs()
+    });
+    let off = off.fold(0.0, f64::max);
     let last = maps.last().expect("there are five maps");
     let polled = last.spread(|taken| taken.peak_anonymous_bytes as f64 / MIB).max;
     let told = last.said_peaks.iter().fold(0.0, |most: f64, &peak| most.max(peak)) / MIB;
@@ -97,9 +111,9 @@ pub(super) fn measure(setting: &Setting) -> io::Result<Chapter> {
         name: "scaling",
         title: "From small maps to large",
         notes: vec![format!(
-            "`areoid ingest` of the same terrain, sizes in turn, each file read once before its run; at \
-             last the largest with --memory-mib {MEMORY_MIB}, where most of what waits goes to the \
-             scratch file. Memory is polled from outside every 5 ms, and as the ingest itself tells \
+            "`areoid ingest` of the same terrain, sizes in turn, each file read once before its run, \
+             small ones several times a round; the target is held against ratios within a round. At last \
+             the largest with --memory-mib {MEMORY_MIB}, where most of what waits goes to the scratch file. Memory is polled from outside every 5 ms, and as the ingest itself tells \
              it. Median (least–greatest)."
         )],
         tables: vec![Table { title: "Sizes".to_owned(), head, rows }],
@@ -109,7 +123,7 @@ pub(super) fn measure(setting: &Setting) -> io::Result<Chapter> {
 }
 
 impl Map {
-    fn run(&mut self, setting: &Setting) -> io::Result<()> {
+    fn run(&mut self, setting: &Setting) -> io::Result<Taken> {
         io::copy(&mut File::open(&self.path)?, &mut io::sink())?;
         let folder = setting.work().join("scaling");
         let mut ingest = setting.ingest(&self.path, &folder.join("catalog"));
@@ -117,14 +131,22 @@ impl Map {
         let mut contender =
             Contender { name: "areoid ingest".to_owned(), steps: vec![ingest], folder };
         let (taken, said) = contender.run()?.map_err(io::Error::other)?;
-        self.runs.push(taken);
         let said: Value = serde_json::from_str(&said)?;
         self.said_peaks.extend(said["peak_memory_bytes"].as_f64());
-        Ok(())
+        Ok(taken)
+    }
+
+    /// Processor seconds a megapixel, round by round.
+    fn costs(&self) -> Vec<f64> {
+        let cost = |runs: &Vec<Taken>| {
+            let seconds: f64 = runs.iter().map(|taken| taken.cpu_s).sum();
+            seconds / (runs.len() as f64 * self.recipe.megapixels())
+        };
+        self.rounds.iter().map(cost).collect()
     }
 
     fn spread(&self, figure: impl Fn(&Taken) -> f64) -> Spread {
-        Spread::of(self.runs.iter().map(figure)).expect("there is at least one run")
+        Spread::of(self.rounds.iter().flatten().map(figure)).expect("there is at least one run")
     }
 
     fn row(&self) -> Vec<String> {
@@ -149,7 +171,7 @@ impl Map {
             "width": self.recipe.width,
             "height": self.recipe.height,
             "memory_mib": self.memory_mib,
-            "runs": self.runs,
+            "rounds": self.rounds,
             "told_peak_memory_bytes": self.said_peaks,
         })
     }

@@ -117,7 +117,7 @@ fn a_split_planet_is_no_worse_anywhere_and_better_at_the_poles() {
         let [native, split] = rms(&errors, from, to);
         println!("{from} to {to}: native {native:.3}, split {split:.3}");
         assert!(split <= native * 1.0001, "{from} to {to}: {split}, native {native}");
-        assert!(from < 60.0 || split < 0.97 * native, "{from} to {to}: {split}, native {native}");
+        assert!(from < 60.0 || split < 0.5 * native, "{from} to {to}: {split}, native {native}");
     }
 }
 
@@ -131,7 +131,7 @@ fn mars_split_is_no_worse_in_any_zone_and_better_at_the_poles() {
         let [native, split] = rms(&errors, from, to);
         println!("{from} to {to}: native {native:.3}, split {split:.3}");
         assert!(split <= native * 1.0001, "{from} to {to}: {split}, native {native}");
-        assert!(from < 60.0 || split < 0.97 * native, "{from} to {to}: {split}, native {native}");
+        assert!(from < 60.0 || split < 0.5 * native, "{from} to {to}: {split}, native {native}");
     }
     check_each_place(&both);
     println!("{}", both.told);
@@ -140,9 +140,8 @@ fn mars_split_is_no_worse_in_any_zone_and_better_at_the_poles() {
     check_blend(&both);
 }
 
-/// Against the field on a grid of neither, in places of 2 by 30 degrees from the seam to the pole. A few of
-/// the 314 are worse than on one grid: where a scarp lies along a meridian, columns that crowd there have
-/// next to no error across it, and a cap's pixels are as wide as high.
+/// Against the field on a grid of neither, in places of 2 by 30 degrees from the seam to the pole: also
+/// where a scarp lies along a meridian, and the columns that crowd there have next to no error across it.
 #[expect(clippy::print_stdout, reason = "figures, for whoever asks for them")]
 fn check_each_place(both: &Both) {
     let mut ratios = Vec::new();
@@ -167,8 +166,8 @@ fn check_each_place(both: &Both) {
     ratios.sort_by(|(one, _), (other, _)| other.total_cmp(one));
     let worse = ratios.iter().filter(|(ratio, _)| *ratio > 1.0).count();
     println!("{worse} of {} places are worse: {:?}", ratios.len(), &ratios[..worse + 1]);
-    assert!(worse <= 4 && ratios[0].0 < 1.8, "{:?}", &ratios[..worse]);
-    assert!(ratios[ratios.len() / 2].0 < 0.7, "{:?}", ratios[ratios.len() / 2]);
+    assert!(worse == 0, "{:?}", &ratios[..worse]);
+    assert!(ratios[ratios.len() / 2].0 < 0.4, "{:?}", ratios[ratios.len() / 2]);
 }
 
 /// Laws 1 to 4 of all parts, and all against the raster: the band is its pixels.

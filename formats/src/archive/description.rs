@@ -81,6 +81,15 @@ pub struct Resampling {
     pub kernel: String,
     /// Whether texels were kept within the range of the pixels around them.
     pub range_limited: bool,
+    /// Whether texels are those whose bilinear surface is nearest to what the kernel sees between
+    /// the pixels, and not its values at their centers.
+    #[serde(skip_serializing_if = "is_false", default)]
+    pub fitted: bool,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+fn is_false(flag: &bool) -> bool {
+    !flag
 }
 
 /// The rasters a dataset was made from, and the options they were read with.

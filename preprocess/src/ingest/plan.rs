@@ -24,11 +24,11 @@ use crate::mosaic::{Layout, Mosaic, MosaicError};
 use crate::normals::Normals;
 use crate::origin::Origin;
 use crate::raster::{self, Fence, Raster, RasterError, RasterInfo, ReadOptions, SampleType};
-use crate::resample::kernel::RangeLimit;
+use crate::resample::kernel::{Kernel, RangeLimit};
 use crate::resample::target::{Split, TargetMap, TargetRequest, split, target_grid};
 use crate::resample::transform::Precision;
 use crate::resample::truth::SourcePixels;
-use crate::resample::{self, Resampler};
+use crate::resample::{self, Resampler, Texels};
 use crate::truth::{OnTexels, Truth};
 
 /// What becomes of the rasters.
@@ -101,6 +101,7 @@ pub(super) fn plan(
             resampling: is_resampled.then(|| Resampling {
                 kernel: request.kernel.name().to_owned(),
                 range_limited: request.limit == RangeLimit::Taps,
+                fitted: texels(request, kind) == Texels::Fitted,
             }),
             mip: request.mip,
         },
@@ -130,7 +131,8 @@ fn origins(
 ) -> Result<Origins, IngestError> {
     let one = |part| Origins { parts: vec![part], instead_of: None };
     let (kernel, limit, precision) = (request.kernel, request.limit, Precision::default());
-    let resampling = resample::Resampling { kernel, limit, precision };
+    let texels = texels(request, kind);
+    let resampling = resample::Resampling { kernel, limit, precision, texels };
     // Heights on a step of their own keep what whole meters lose.
     let is_rounded = kind != Kind::Normal && request.step_m.is_none_or(|step| step == 0.0);
     let resampled = |grid, layout| -> Result<Box<dyn Origin>, IngestError> {
@@ -168,6 +170,17 @@ fn origins(
     let (pixel_size, page_side) = (request.pixel_size, request.page_side);
     let grid = target_grid(&[placement], TargetRequest { map, pixel_size, page_side })?;
     Ok(one(("", true, resampled(grid, layout)?)))
+}
+
+/// What texels are of what lies between pixels: heights of caps show as little else as those of the
+/// band, which are pixels, unless what was asked for are pixels or their range.
+fn texels(request: &Request, kind: Kind) -> Texels {
+    let is_free = request.limit == RangeLimit::None && request.kernel != Kernel::Nearest;
+    if request.grid == TargetGrid::Split && kind == Kind::Height && is_free {
+        Texels::Fitted
+    } else {
+        Texels::Sampled
+    }
 }
 
 /// Leaves on the rasters' own grid.

@@ -8,16 +8,17 @@ use areoid_formats::page::Kind;
 use areoid_formats::pyramid::PoleContact;
 
 use super::error;
+use super::fit::fit;
 use super::kernel::{Sampled, Scratch};
-use super::needs::PreparedAt;
+use super::needs::{PreparedAt, texels_around};
 use super::source::Source as _;
 use super::tile::{Coords, TargetTile};
 use super::window::Window;
-use super::{Heights, Held, Resampler};
+use super::{Heights, Held, Resampler, Texels};
 use crate::build::Leaves;
 use crate::raster::RasterError;
 use crate::texel::Planes;
-use crate::tile::{Closed, Raw};
+use crate::tile::{self, Closed, Raw};
 
 /// Memory that leaves use again.
 #[derive(Debug, Default)]
@@ -114,9 +115,9 @@ impl Resampler {
     fn canvas(&self, page: PageAddress, room: &mut Room) -> Result<Option<Canvas>, RasterError> {
         let pyramid = self.plan.grid.pyramid();
         let side = pyramid.page_side() as usize;
-        let (height, width) = pyramid.interior_size(page);
-        let [top, left] = [page.row, page.col].map(|at| i64::from(at * pyramid.interior()));
-        let (rows, cols) = (top..top + i64::from(height), left..left + i64::from(width));
+        let texels = self.plan.resampling.texels;
+        let (rows, cols) = texels_around(pyramid, page, texels.around());
+        let [top, left] = [page.row, page.col].map(|at| i64::from(at * pyramid.interior()) - 1);
         let channels = self.prepared.channels();
         let mut canvas: Option<Canvas> = None;
         let named = &self.plan.needs(page).tiles;
@@ -131,8 +132,12 @@ impl Resampler {
                 Canvas { side, planes, alpha: vec![0; side * side] }
             });
             let [row, col] = [tile.row - top, tile.col - left]
-                .map(|at| usize::try_from(at).expect("tiles lie in the leaf") + 1);
+                .map(|at| usize::try_from(at).expect("tiles lie in the leaf or around it"));
             canvas.lay(row * side + col, tile, &room.sampled);
+        }
+        if let (Texels::Fitted, Some(canvas)) = (texels, &mut canvas) {
+            let (rows, cols) = pyramid.interior_size(page);
+            canvas.fit(rows as usize, cols as usize);
         }
         Ok(canvas)
     }
@@ -204,6 +209,17 @@ impl Canvas {
             chunks.any(|(values, alpha)| off(values, alpha))
         };
         !self.planes.iter().any(chunks)
+    }
+
+    /// Fits what is inside the border, whose coverage is then gone.
+    fn fit(&mut self, rows: usize, cols: usize) {
+        let Self { side, planes, alpha } = self;
+        for plane in planes {
+            fit(plane, alpha, *side, (rows, cols));
+        }
+        for (row, part) in tile::outside((*side, rows, cols)) {
+            alpha[row * *side..][part].fill(0);
+        }
     }
 
     fn lay(&mut self, at: usize, tile: TargetTile, sampled: &Sampled) {

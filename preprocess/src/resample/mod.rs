@@ -26,6 +26,7 @@ pub mod rasters;
 
 mod beneath;
 mod error;
+mod fit;
 
 mod leaf;
 
@@ -59,6 +60,28 @@ pub struct Resampling {
     pub limit: RangeLimit,
     /// How exact their places are.
     pub precision: Precision,
+    /// What texels are of what lies between the pixels.
+    pub texels: Texels,
+}
+
+/// What texels are of the field that a kernel sees between pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Texels {
+    /// Its values at their centers.
+    #[default]
+    Sampled,
+    /// Those whose bilinear surface, which is what is shown, is nearest to it. Of heights alone.
+    Fitted,
+}
+
+impl Texels {
+    /// How many texels around a leaf are sampled for it.
+    fn around(self) -> u32 {
+        match self {
+            Self::Sampled => 0,
+            Self::Fitted => 1,
+        }
+    }
 }
 
 /// Rasters that cannot be resampled to a grid.
@@ -168,13 +191,13 @@ impl Resampler {
 
 impl Plan {
     fn new(grid: Grid, resampling: Resampling, transform: Transform, back: Transform) -> Self {
-        let pyramid = grid.pyramid();
+        let (pyramid, around) = (grid.pyramid(), resampling.texels.around());
         let reach = |footprint: Footprint| {
             let [across, down] = resampling.kernel.reach(footprint);
             [across - 1, across, down - 1, down]
         };
         let needs = |leaf: PageAddress| Needs {
-            tiles: prepared_tiles(&transform, pyramid, leaf, reach).into(),
+            tiles: prepared_tiles(&transform, pyramid, (leaf, around), reach).into(),
             beneath: beneath::beneath(&back, pyramid, leaf).into(),
         };
         let all: Vec<PageAddress> = leaves(&grid).collect();

@@ -38,7 +38,8 @@ const FINEST_CUT: usize = 16;
 /// Places named are so much wider.
 const SLACK_PX: f64 = 1.0 / 1024.0;
 
-/// The prepared tiles that the interior of a leaf may need, sorted: all that it does, and few more.
+/// The prepared tiles that the interior of a leaf and so many texels around it may need, sorted: all that
+/// they do, and few more.
 ///
 /// `reach` is what a kernel reaches for a footprint. It is asked for the same tiles of texels that
 /// the leaf is sampled in: others have other footprints.
@@ -50,14 +51,14 @@ const SLACK_PX: f64 = 1.0 / 1024.0;
 pub fn prepared_tiles(
     transform: &Transform,
     pyramid: &Pyramid,
-    leaf: PageAddress,
+    (leaf, around): (PageAddress, u32),
     reach: impl Fn(Footprint) -> Reach,
 ) -> Vec<PreparedAt> {
     assert_eq!(leaf.level, pyramid.finest(), "a leaf is a finest page");
-    let (height, width) = pyramid.interior_size(leaf);
-    let [row, col] = [leaf.row, leaf.col].map(|index| i64::from(index * pyramid.interior()));
-    let (rows, cols) = (row..row + i64::from(height), col..col + i64::from(width));
-    let whole = TargetTile { row, col, rows: height as usize, cols: width as usize };
+    let (rows, cols) = texels_around(pyramid, leaf, around);
+    let length = |range: &Range<i64>| range.clone().count();
+    let whole =
+        TargetTile { row: rows.start, col: cols.start, rows: length(&rows), cols: length(&cols) };
     if transform.range(whole).is_none() {
         return Vec::new();
     }
@@ -72,6 +73,20 @@ pub fn prepared_tiles(
     found.sort_unstable();
     found.dedup();
     found
+}
+
+/// Rows and columns of the interior of a leaf and of so many texels around it.
+pub(super) fn texels_around(
+    pyramid: &Pyramid,
+    leaf: PageAddress,
+    around: u32,
+) -> (Range<i64>, Range<i64>) {
+    let (height, width) = pyramid.interior_size(leaf);
+    let range = |index: u32, length: u32| {
+        let first = i64::from(index * pyramid.interior());
+        first - i64::from(around)..first + i64::from(length + around)
+    };
+    (range(leaf.row, height), range(leaf.col, width))
 }
 
 /// Names what a rectangle of texels needs: all of its own rectangle in the source if that is one

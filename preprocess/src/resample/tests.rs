@@ -115,12 +115,49 @@ fn wave(pixels: f64) -> impl Fn(Geographic) -> f32 {
 }
 
 fn resampled(layout: Layout, map: TargetMap, kernel: Kernel) -> Resampler {
+    resampled_as(layout, map, kernel, Texels::Sampled)
+}
+
+fn resampled_as(layout: Layout, map: TargetMap, kernel: Kernel, texels: Texels) -> Resampler {
     let placement = layout.placement().unwrap();
     let request = TargetRequest { map, pixel_size: None, page_side: 66 };
     let grid = target_grid(&[placement], request).unwrap();
-    let resampling =
-        Resampling { kernel, limit: RangeLimit::None, precision: Precision::default() };
+    let (limit, precision) = (RangeLimit::None, Precision::default());
+    let resampling = Resampling { kernel, limit, precision, texels };
     Resampler::new(grid, layout, placement, Kind::Height, resampling).unwrap()
+}
+
+/// Also across the edges of leaves, and not beside holes.
+#[test]
+fn fitted_texels_are_sampled_ones_beyond_the_field_by_a_twelfth_of_its_bend() {
+    let field = |place: Geographic| {
+        let is_hole = (place.latitude.0 - 1.1).abs() < 0.1 && place.longitude.0.abs() < 0.2;
+        if is_hole { f32::NAN } else { wave(9.0)(place) }
+    };
+    let map = TargetMap::Polar(Pole::North);
+    let [sampled, fitted] = [Texels::Sampled, Texels::Fitted].map(|texels| {
+        let resampler = resampled_as(globe(field), map, Kernel::CubicSpline, texels);
+        (resampler.grid().pyramid().extent().width as usize, whole(&resampler))
+    });
+    let (width, sampled) = sampled;
+    let (mut full, mut beside) = (0, 0);
+    for (at, (&fitted, &center)) in fitted.1.iter().zip(&sampled).enumerate() {
+        let (row, col) = (at / width, at % width);
+        if row == 0 || col == 0 || row + 1 == width || col + 1 == width {
+            continue;
+        }
+        assert_eq!(fitted.is_nan(), center.is_nan(), "{row} {col}");
+        let around = [at - width, at - 1, at + 1, at + width].map(|at| f64::from(sampled[at]));
+        let bend: f64 = around.into_iter().map(|height| height - f64::from(center)).sum();
+        if center.is_nan() {
+            continue;
+        }
+        let expected = if bend.is_nan() { 0.0 } else { bend / 12.0 };
+        *(if bend.is_nan() { &mut beside } else { &mut full }) += 1;
+        let found = f64::from(center) - f64::from(fitted);
+        assert!((found - expected).abs() < 1e-3, "{row} {col}: {found}, expected {expected}");
+    }
+    assert!(full > 20_000 && beside > 20, "{full} {beside}");
 }
 
 /// Every valid texel and the place of its center.
@@ -243,8 +280,8 @@ fn squares_and_blocks_are_made_once_where_leaves_lie_across_them() {
         let map = TargetMap::Equirectangular;
         let grid =
             target_grid(&[placement], TargetRequest { map, pixel_size: None, page_side: 130 });
-        let resampling =
-            Resampling { kernel, limit: RangeLimit::None, precision: Precision::default() };
+        let (limit, precision, texels) = (RangeLimit::None, Precision::default(), Texels::Sampled);
+        let resampling = Resampling { kernel, limit, precision, texels };
         let resampler =
             Resampler::new(grid.unwrap(), polar, placement, Kind::Height, resampling).unwrap();
         for leaf in leaves(resampler.grid()) {

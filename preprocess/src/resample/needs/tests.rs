@@ -103,7 +103,7 @@ fn leaf_at(grid: &Grid, place: [f64; 2]) -> PageAddress {
 fn check(target: &Grid, source: &Placement, place: [f64; 2]) -> Result<(), TestCaseError> {
     let transform = Transform::new(&target.placement(), source, Precision::default()).unwrap();
     let leaf = leaf_at(target, place);
-    let named = prepared_tiles(&transform, target.pyramid(), leaf, |_| REACH);
+    let named = prepared_tiles(&transform, target.pyramid(), (leaf, 0), |_| REACH);
     for tile in touched(&transform, target.pyramid(), leaf) {
         prop_assert!(named.binary_search(&tile).is_ok(), "{tile:?} is not among {named:?}");
     }
@@ -201,7 +201,7 @@ fn few_more_tiles_are_named_than_touched() {
         let leaves = (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col)));
         for (row, col) in leaves.step_by(29) {
             let leaf = PageAddress::new(finest, row, col);
-            named += prepared_tiles(&transform, target.pyramid(), leaf, |_| REACH).len();
+            named += prepared_tiles(&transform, target.pyramid(), (leaf, 0), |_| REACH).len();
             needed += touched(&transform, target.pyramid(), leaf).len();
         }
         let ratio = named as f64 / needed as f64;

@@ -19,7 +19,7 @@ use crate::raster::{Block, Outline, Raster, RasterInfo, SampleType, Samples};
 use crate::resample::kernel::{Kernel, RangeLimit};
 use crate::resample::target::{TargetMap, TargetRequest, target_grid};
 use crate::resample::transform::Precision;
-use crate::resample::{Resampler, Resampling};
+use crate::resample::{Resampler, Resampling, Texels};
 use crate::scratch::Scratch;
 
 /// Samples in memory, the bands of a pixel side by side, in blocks of 20 × 14 pixels.
@@ -140,6 +140,10 @@ pub(super) fn mixed(number: u64) -> u64 {
 }
 
 impl Case {
+    fn texels(&self) -> Texels {
+        if self.seed.is_multiple_of(2) { Texels::Sampled } else { Texels::Fitted }
+    }
+
     pub(super) fn layout(&self) -> Layout {
         self.layout_with(|_, _| false)
     }
@@ -238,7 +242,8 @@ impl Case {
         let request = TargetRequest { map: self.target, pixel_size, page_side: 34 };
         let grid = target_grid(&[placement], request).ok()?;
         let precision = Precision::default();
-        let resampling = Resampling { kernel: self.kernel, limit: self.limit, precision };
+        let resampling =
+            Resampling { kernel: self.kernel, limit: self.limit, precision, texels: self.texels() };
         Some(Resampler::new(grid, layout, placement, self.kind(), resampling).unwrap())
     }
 
@@ -261,6 +266,7 @@ impl Case {
             resampling: Some(archive::Resampling {
                 kernel: self.kernel.name().to_owned(),
                 range_limited: self.limit == RangeLimit::Taps,
+                fitted: self.texels() == Texels::Fitted,
             }),
             mip: archive::MipRule::Mean,
         }
