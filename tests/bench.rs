@@ -57,7 +57,7 @@ fn a_tiny_book_is_complete_and_names_who_is_absent() {
     assert!(leaves["stored_bytes"].as_u64().unwrap() > 0 && leaves["over_gdal"].is_null());
     assert!(leaves["decode_int16_bytes_per_s"]["median"].as_f64().unwrap() > 0.0);
     for map in array(&report, "/chapters/scaling") {
-        assert!(map["runs"][0]["peak_resident_bytes"].as_u64().is_some());
+        assert!(map["rounds"][0][0]["peak_resident_bytes"].as_u64().is_some());
     }
 
     let targets = array(&report, "/targets");
