@@ -213,6 +213,17 @@ pub(crate) fn soak() -> bool {
     std::env::var_os("AREOID_SOAK").is_some()
 }
 
+/// Which rounds of a test to do: the first few; as a soak all, or the part that `AREOID_SOAK` names, as in
+/// `4500..6000`.
+pub(crate) fn rounds(few: usize, all: usize) -> std::ops::Range<usize> {
+    let Ok(asked) = std::env::var("AREOID_SOAK") else { return 0..few };
+    let part = asked.split_once("..").map(|(from, to)| (from.parse().ok(), to.parse().ok()));
+    match part {
+        Some((Some(from), Some(to))) => from..to,
+        _ => 0..all,
+    }
+}
+
 /// Random numbers of a fixed seed: xorshift.
 pub(crate) struct Random(pub(crate) u64);
 

@@ -23,6 +23,7 @@
 
 mod hand;
 mod host;
+mod legend;
 mod painter;
 mod panel;
 mod presenter;

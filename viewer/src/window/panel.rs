@@ -1,11 +1,13 @@
 //! The panel: what it shows is given to it, and what the user changes it writes down.
 
 use areoid_cache::{Datasets, Stats};
+use areoid_formats::body::Ellipsoid;
 use areoid_formats::page::Kind;
 use areoid_formats::units::Degrees;
-use egui::{Context, DragValue, Slider, Ui};
+use egui::{Context, DragValue, Key, Slider, Ui};
 
 use super::host::{Insertion, InsertionState};
+use super::legend::legend;
 use super::settings::{Arrangement, Lighting, Settings};
 use crate::pick::Picked;
 use crate::render::{Debug, FrameStatistics};
@@ -45,6 +47,10 @@ pub(super) enum Wish {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Panel {
     raster: String,
+    /// A time in UTC.
+    date: String,
+    /// What is wrong with it.
+    date_error: Option<&'static str>,
 }
 
 impl Panel {
@@ -63,7 +69,14 @@ impl Panel {
             ui.collapsing("Datasets", |ui| layers(ui, settings, datasets));
             ui.collapsing("Insert", |ui| self.insert(ui, figures, &mut wishes));
             ui.collapsing("Picture", |ui| picture(ui, settings));
-            ui.collapsing("Light", |ui| light(ui, settings));
+            ui.collapsing("Light", |ui| {
+                light(ui, settings);
+                if let (Lighting::Sun, Some((_, info))) =
+                    (settings.lighting, datasets.iter().next())
+                {
+                    self.date(ui, settings, &info.grid.crs().body);
+                }
+            });
             ui.collapsing("Views", |ui| views(ui, settings, figures, &mut wishes));
             ui.collapsing("Figures", |ui| statistics(ui, figures));
             if !figures.message.is_empty() {
@@ -71,6 +84,20 @@ impl Panel {
             }
         });
         wishes
+    }
+
+    fn date(&mut self, ui: &mut Ui, settings: &mut Settings, body: &Ellipsoid) {
+        ui.horizontal(|ui| {
+            let hint = egui::TextEdit::singleline(&mut self.date).hint_text("2026-11-29T12:00:00");
+            let field = ui.add(hint.desired_width(150.0));
+            let is_entered = field.lost_focus() && ui.input(|input| input.key_pressed(Key::Enter));
+            if ui.button("sun at this time").clicked() || is_entered {
+                self.date_error = settings.set_date(&self.date, body).err();
+            }
+        });
+        if let Some(reason) = self.date_error {
+            ui.colored_label(ui.visuals().error_fg_color, reason);
+        }
     }
 
     fn insert(&mut self, ui: &mut Ui, figures: &Figures, wishes: &mut Vec<Wish>) {
@@ -206,6 +233,7 @@ fn picture(ui: &mut Ui, settings: &mut Settings) {
             ui.selectable_value(&mut settings.debug, debug, name);
         }
     });
+    legend(ui, settings);
 }
 
 fn light(ui: &mut Ui, settings: &mut Settings) {

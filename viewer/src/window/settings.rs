@@ -8,6 +8,7 @@ use glam::DVec3;
 use crate::Atmosphere;
 use crate::render::{Debug, Light, Options, Relief};
 use crate::style::{Layer, Ramp, Stop, Style};
+use crate::sun::{days_of_utc, subsolar};
 
 /// How the picture is lit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,12 +78,7 @@ impl Settings {
     /// How to draw at a time.
     pub(super) fn options(&self, body: &Ellipsoid, seconds: f64) -> Options {
         let is_relief = self.lighting == Lighting::Relief;
-        let mut style = self.style.clone();
-        if self.has_ramp {
-            style.ramp.get_or_insert_with(ramp);
-        } else {
-            style.ramp = None;
-        }
+        let style = Style { ramp: self.ramp(), ..self.style.clone() };
         Options {
             vertical_exaggeration: self.exaggeration,
             style,
@@ -93,6 +89,23 @@ impl Settings {
             seconds,
             ..Options::interactive()
         }
+    }
+
+    /// The colors of heights, if they are shown.
+    pub(super) fn ramp(&self) -> Option<Ramp> {
+        self.has_ramp.then(|| self.style.ramp.clone().unwrap_or_else(ramp))
+    }
+
+    /// Puts the sun where it stands over `body` at a time.
+    ///
+    /// # Errors
+    ///
+    /// A sentence for the user.
+    pub(super) fn set_date(&mut self, text: &str, body: &Ellipsoid) -> Result<(), &'static str> {
+        let days = days_of_utc(text).ok_or("no date: YYYY-MM-DD, or YYYY-MM-DDTHH:MM:SS in UTC")?;
+        let sun = subsolar(body, days).ok_or("dates are known of the Earth and Mars alone")?;
+        self.sun = [sun.longitude, sun.latitude].map(|angle| Degrees::from(angle).0);
+        Ok(())
     }
 
     /// What is said of a dataset.
@@ -126,6 +139,20 @@ fn ramp() -> Ramp {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use areoid_formats::body::Body;
+
+    #[test]
+    fn a_date_puts_the_sun_where_it_stood_and_what_is_none_leaves_it() {
+        let mut settings = Settings::new(1.0, Style::default());
+        let body = |name| Body::parse(name).unwrap().ellipsoid;
+        // At an equinox at noon in Greenwich, give or take the equation of time.
+        settings.set_date("2000-03-20T12:00:00", &body("earth")).unwrap();
+        assert!(settings.sun[0].abs() < 4.0 && settings.sun[1].abs() < 0.3, "{:?}", settings.sun);
+        let before = settings.sun;
+        assert!(settings.set_date("soon", &body("earth")).unwrap_err().contains("no date"));
+        assert!(settings.set_date("2000-03-20", &body("moon")).unwrap_err().contains("Mars"));
+        assert_eq!(settings.sun, before);
+    }
 
     #[test]
     fn parts_follow_what_is_said_of_their_group_and_nothing_else_does() {

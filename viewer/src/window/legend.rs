@@ -1,0 +1,98 @@
+//! What the picture's colors mean, where they are not the ground's.
+
+use egui::{Color32, Sense, Ui, vec2};
+
+use super::settings::Settings;
+use crate::render::Debug;
+
+/// A color and what it stands for.
+#[derive(Clone, Debug, PartialEq)]
+struct Entry {
+    color: [u8; 3],
+    text: String,
+}
+
+/// Shows it; nothing, where the ground has its own colors.
+pub(super) fn legend(ui: &mut Ui, settings: &Settings) {
+    for Entry { color: [red, green, blue], text } in entries(settings) {
+        ui.horizontal(|ui| {
+            let (place, _) = ui.allocate_exact_size(vec2(18.0, 12.0), Sense::hover());
+            ui.painter().rect_filled(place, 2.0, Color32::from_rgb(red, green, blue));
+            ui.monospace(text);
+        });
+    }
+}
+
+/// The ramp from the highest down, and what is shown of how the picture was made.
+fn entries(settings: &Settings) -> Vec<Entry> {
+    let entry = |color, text: &str| Entry { color, text: text.to_owned() };
+    let ramp = settings.ramp().into_iter().flat_map(|ramp| ramp.stops.into_iter().rev());
+    let mut entries: Vec<Entry> =
+        ramp.map(|stop| entry(stop.color, &format!("{} m", stop.height_m))).collect();
+    match settings.debug {
+        Debug::Off | Debug::Dataset => {}
+        Debug::Level => entries.extend((0..LEVELS).map(|level| Entry {
+            color: color_of_number(level).map(code),
+            text: format!("level {level}"),
+        })),
+        Debug::Borders => entries.push(entry([255, 230, 26], "outline of a page")),
+        Debug::Residency => {
+            entries.push(entry([255, 26, 13], "a coarser page stands in"));
+            entries.push(entry([51, 77, 255], "a finer page is shown"));
+        }
+        Debug::Error => {
+            entries.push(entry([26, 153, 51], "exact"));
+            entries.push(entry([255, 230, 26], "half the tolerance, or all of it"));
+            entries.push(entry([255, 26, 13], "more than the tolerance"));
+        }
+    }
+    entries
+}
+
+/// Levels that are told: colors of neighbors differ, those of levels far apart need not.
+const LEVELS: u32 = 12;
+
+/// The twin of the shader's: `debug.wgsl`.
+fn color_of_number(number: u32) -> [f64; 3] {
+    let hue = (f64::from(number) * 0.618_033_99).fract() * 6.0;
+    [(hue - 3.0).abs() - 1.0, 2.0 - (hue - 2.0).abs(), 2.0 - (hue - 4.0).abs()]
+        .map(|light| light.clamp(0.0, 1.0))
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 255")]
+fn code(light: f64) -> u8 {
+    (255.0 * light).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::style::{Ramp, Stop, Style};
+
+    fn settings(debug: Debug) -> Settings {
+        let stop = |height_m, code| Stop { height_m, color: [code; 3] };
+        let ramp = Ramp { stops: vec![stop(-10.0, 1), stop(20.5, 2)], opacity: 1.0 };
+        let style = Style { layers: Vec::new(), ramp: Some(ramp) };
+        Settings { debug, ..Settings::new(1.0, style) }
+    }
+
+    #[test]
+    fn a_legend_is_of_the_colors_that_are_shown() {
+        let mut plain = settings(Debug::Off);
+        let texts = |settings: &Settings| -> Vec<String> {
+            entries(settings).into_iter().map(|entry| entry.text).collect()
+        };
+        assert_eq!(texts(&plain), ["20.5 m", "-10 m"]);
+        assert_eq!(entries(&plain)[0].color, [2; 3]);
+        plain.has_ramp = false;
+        assert!(entries(&plain).is_empty());
+
+        let levels = entries(&settings(Debug::Level));
+        assert_eq!(levels.len(), 2 + LEVELS as usize);
+        for pair in levels[2..].windows(2) {
+            let apart = (0..3).map(|i| pair[0].color[i].abs_diff(pair[1].color[i])).max();
+            assert!(apart > Some(90), "{pair:?}");
+        }
+        assert!(texts(&settings(Debug::Error)).contains(&"exact".to_owned()));
+    }
+}
