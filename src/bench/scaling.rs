@@ -75,7 +75,7 @@ pub(super) fn measure(setting: &Setting) -> io::Result<Chapter> {
     let off = free.map(|map| {
         let costs = map.costs();
         let ratios = costs.iter().zip(&smallest).map(|(cost, smallest)| cost / smallest);
-        (Spread::of(ratios).map_or(f64::NAN, |ratios| ratios.median) - 1.0).abs()
+        (Spread::of(ratios).expect("there is at least one round").median - 1.0).abs()
     });
     let off = off.fold(0.0, f64::max);
     let last = maps.last().expect("there are five maps");
@@ -112,8 +112,9 @@ pub(super) fn measure(setting: &Setting) -> io::Result<Chapter> {
         title: "From small maps to large",
         notes: vec![format!(
             "`areoid ingest` of the same terrain, sizes in turn, each file read once before its run, \
-             small ones several times a round; the target is held against ratios within a round. At last \
-             the largest with --memory-mib {MEMORY_MIB}, where most of what waits goes to the scratch file. Memory is polled from outside every 5 ms, and as the ingest itself tells \
+             small ones several times a round; the target is held against ratios within a round. At \
+             last the largest with --memory-mib {MEMORY_MIB}, where most of what waits goes to the \
+             scratch file. Memory is polled from outside every 5 ms, and as the ingest itself tells \
              it. Median (least–greatest)."
         )],
         tables: vec![Table { title: "Sizes".to_owned(), head, rows }],

@@ -82,7 +82,7 @@ pub struct Resampling {
     /// Whether texels were kept within the range of the pixels around them.
     pub range_limited: bool,
     /// Whether texels are those whose bilinear surface is nearest to what the kernel sees between
-    /// the pixels, and not its values at their centers.
+    /// the pixels, except beside missing ones, and not its values at their centers.
     #[serde(skip_serializing_if = "is_false", default)]
     pub fitted: bool,
 }

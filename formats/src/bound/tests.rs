@@ -63,6 +63,37 @@ fn family<S: Texel + Arbitrary>(
         .prop_map(|(parent, children, cut)| Texels { parent, children, cut })
 }
 
+/// Whether a parent and four children in `texels`, the last cut to even parts of their interiors, have the
+/// same intervals with children that are exact and with such that are known to be.
+fn is_same_at_once<S: Texel<Cell = i16>>(texels: &[S], side: usize, cut: (f64, f64)) -> bool {
+    let interior = side - 2;
+    let window = |which: usize| {
+        let texels = &texels[which * side * side..][..side * side];
+        Window { side, texels, coverage: None, span: None }
+    };
+    let part = |place: usize, cut: f64| {
+        if place == 0 { interior } else { 2 + 2 * ((interior / 2 - 1) as f64 * cut) as usize }
+    };
+    let mut zero = Cells::empty::<S>(interior, interior, 0);
+    zero.low.fill(0);
+    zero.high.fill(0);
+    let of = |known: bool| {
+        let child = |which: usize| {
+            let (row, col) = (which / 2, which % 2);
+            let size = (part(row, cut.0), part(col, cut.1));
+            let cells = known.then_some(&zero);
+            Child { row, col, window: window(which), size, finest: true, cells }
+        };
+        let children = (0..4).map(child).collect();
+        let size = [cut.0, cut.1].map(|cut| (interior + part(1, cut)) / 2);
+        let range = texels.iter().fold((texels[0], texels[0]), |(low, high), &texel| {
+            (if texel < low { texel } else { low }, if texel > high { texel } else { high })
+        });
+        parent_cells(&[Family { parent: window(4), children }], (size[0], size[1]), range)
+    };
+    of(true) == of(false)
+}
+
 /// The reconstruction of a window at a point in its own texels, the first one's center at (½, ½).
 fn reconstruct<S: Texel>(window: Window<'_, S>, row: f64, col: f64) -> f64 {
     let tap = |at: f64| ((at - 0.5).floor(), (at - 0.5).rem_euclid(1.0));
@@ -206,6 +237,26 @@ proptest! {
         let exact = with.unit_log2 == 0 && slack == Some(0.0);
         prop_assert!(exact || with.unit_log2 > 0 && slack.is_some_and(|slack| slack < unit));
         prop_assert!(with.unit_log2 >= unit_log2);
+    }
+
+    /// A child known to be exact has the intervals of one of which nothing is known: these are found cell
+    /// by cell, those of a parent's cell at once. Windows of several lanes, and of parts of one.
+    #[test]
+    fn what_is_exact_is_the_same_at_once_and_cell_by_cell(
+        half in 2..80_usize, cut in (0.0..1.0, 0.0..1.0_f64), range in 1_i32..65_536, seed: u64,
+    ) {
+        let mut state = seed;
+        let mut draw = |below: i32| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            ((state >> 33) % below as u64) as i32
+        };
+        let side = 2 * half;
+        let mut texels = |below: i32| (0..5 * side * side).map(|_| draw(below)).collect::<Vec<_>>();
+        let codes: Vec<u8> = texels(range.min(256)).into_iter().map(|code| code as u8).collect();
+        let heights: Vec<i16> =
+            texels(range).into_iter().map(|height| (height - 32_768) as i16).collect();
+        prop_assert!(is_same_at_once(&codes, side, cut));
+        prop_assert!(is_same_at_once(&heights, side, cut));
     }
 
     /// A texel that is not there is not looked at, in the child or in the parent.

@@ -172,10 +172,11 @@ fn origins(
     Ok(one(("", true, resampled(grid, layout)?)))
 }
 
-/// What texels are of what lies between pixels: heights of caps show as little else as those of the
-/// band, which are pixels, unless what was asked for are pixels or their range.
+/// What texels are of what lies between pixels: heights of caps are fitted, unless pixels, their means or
+/// their range was asked for.
 fn texels(request: &Request, kind: Kind) -> Texels {
-    let is_free = request.limit == RangeLimit::None && request.kernel != Kernel::Nearest;
+    let is_smooth = !matches!(request.kernel, Kernel::Nearest | Kernel::Average);
+    let is_free = is_smooth && request.limit == RangeLimit::None;
     if request.grid == TargetGrid::Split && kind == Kind::Height && is_free {
         Texels::Fitted
     } else {

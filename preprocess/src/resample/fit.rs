@@ -1,8 +1,8 @@
 //! Texels whose bilinear surface is nearest to a field, from its values at their centers.
 //!
-//! A surface through values at the centers cuts every hill and fills every valley. Half of what it is
-//! off by is the same everywhere in a cell: texels that lie beyond the field by a twelfth of their
-//! second difference along each axis take it away,
+//! A surface through values at the centers cuts every hill and fills every valley, so that its error has
+//! a mean: texels that lie beyond the field by a twelfth of their second difference along each axis
+//! take that away,
 //!
 //! ```text
 //!                 -1/12
@@ -21,8 +21,8 @@
 /// A twelfth.
 const SHARE: f32 = 1.0 / 12.0;
 
-/// Fits the `rows` by `cols` texels inside a border of one, whose values are there, too. A texel beside
-/// one without coverage stays.
+/// Fits the `rows` by `cols` texels inside a border of one, which has its values, too. A texel beside one
+/// without coverage stays as it is.
 pub(super) fn fit(plane: &mut [f32], coverage: &[u8], side: usize, (rows, cols): (usize, usize)) {
     // As they were before this row and the one above it were fitted.
     let (mut above, mut here) = (plane[..side].to_vec(), vec![0.0; side]);

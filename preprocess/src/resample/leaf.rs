@@ -211,7 +211,7 @@ impl Canvas {
         !self.planes.iter().any(chunks)
     }
 
-    /// Fits what is inside the border, whose coverage is then gone.
+    /// Fits what is inside the border, and takes the border's coverage away.
     fn fit(&mut self, rows: usize, cols: usize) {
         let Self { side, planes, alpha } = self;
         for plane in planes {

@@ -230,9 +230,10 @@ fn of_our_own(direction: &Direction, ways: &[Way], errors: &[Option<ByWave>]) ->
         }
         for (way, errors) in ours().filter(|(way, _)| way.places == Places::Own) {
             let ratios = errors.as_ref().map(|errors| {
-                errors
-                    .iter()
-                    .map(|zones| zones[zone].rms.max(ROUNDING_PERCENT) / zones[zone].like_it)
+                errors.iter().map(|zones| {
+                    let figure = |error: f64| error.max(ROUNDING_PERCENT);
+                    figure(zones[zone].rms) / figure(zones[zone].like_it)
+                })
             });
             let what = format!(
                 "{}, {name}: root mean square error of {} over the largest of places like it, worst",

@@ -128,22 +128,22 @@ impl Panel {
 }
 
 fn under_cursor(ui: &mut Ui, figures: &Figures) {
-    let Some(picked) = &figures.under_cursor else {
-        ui.label("—");
-        return;
-    };
+    for line in told(figures) {
+        ui.monospace(line);
+    }
+}
+
+/// Place, height and dataset under the cursor: as many lines whatever is there, so that nothing below
+/// them moves.
+fn told(figures: &Figures) -> [String; 3] {
+    let blank = || " ".to_owned();
+    let Some(picked) = &figures.under_cursor else { return ["—".to_owned(), blank(), blank()] };
     let [longitude, latitude] =
         [picked.place.longitude, picked.place.latitude].map(|angle| Degrees::from(angle).0);
-    ui.monospace(format!("{longitude:.5}°, {latitude:.5}°"));
-    match &picked.height {
-        Some(found) => {
-            ui.monospace(format!("{:.1} m ± {:.1} m", found.value[0], found.bound));
-            ui.monospace(format!("{}, level {:.1}", figures.dataset, found.level));
-        }
-        None => {
-            ui.monospace("no height");
-        }
-    }
+    let place = format!("{longitude:.5}°, {latitude:.5}°");
+    let Some(found) = &picked.height else { return [place, "no height".to_owned(), blank()] };
+    let height = format!("{:.1} m ± {:.1} m", found.value[0], found.bound);
+    [place, height, format!("{}, level {:.1}", figures.dataset, found.level)]
 }
 
 /// What the user names: a dataset, or a group of them.

@@ -58,12 +58,18 @@ fn col_of(source: &Placement, mut col: i64, turned: bool) -> i64 {
 }
 
 /// The prepared tiles that the taps of every texel of a leaf lie in.
-fn touched(transform: &Transform, pyramid: &Pyramid, leaf: PageAddress) -> BTreeSet<PreparedAt> {
+fn touched(
+    transform: &Transform,
+    pyramid: &Pyramid,
+    (leaf, around): (PageAddress, u32),
+) -> BTreeSet<PreparedAt> {
     let source = transform.source();
     let (height, width) = pyramid.interior_size(leaf);
-    let start = |index: u32| i64::from(index * pyramid.interior());
+    let around = i64::from(around);
+    let start = |index: u32| i64::from(index * pyramid.interior()) - around;
     let (row, col) = (start(leaf.row), start(leaf.col));
-    let tiles = transform.tiles(row..row + i64::from(height), col..col + i64::from(width));
+    let end = |start: i64, length: u32| start + i64::from(length) + 2 * around;
+    let tiles = transform.tiles(row..end(row, height), col..end(col, width));
     let mut found = BTreeSet::new();
     let mut coords = Coords::default();
     let inside = |place: f64, length: u32| (0..i64::from(length)).contains(&floor(place + 0.5));
@@ -103,13 +109,16 @@ fn leaf_at(grid: &Grid, place: [f64; 2]) -> PageAddress {
 fn check(target: &Grid, source: &Placement, place: [f64; 2]) -> Result<(), TestCaseError> {
     let transform = Transform::new(&target.placement(), source, Precision::default()).unwrap();
     let leaf = leaf_at(target, place);
-    let named = prepared_tiles(&transform, target.pyramid(), (leaf, 0), |_| REACH);
-    for tile in touched(&transform, target.pyramid(), leaf) {
-        prop_assert!(named.binary_search(&tile).is_ok(), "{tile:?} is not among {named:?}");
-    }
-    for tile in named {
-        let in_source = tile.row * PREPARED < source.height && tile.col * PREPARED < source.width;
-        prop_assert!(in_source, "{tile:?}");
+    for around in [0, 1] {
+        let named = prepared_tiles(&transform, target.pyramid(), (leaf, around), |_| REACH);
+        for tile in touched(&transform, target.pyramid(), (leaf, around)) {
+            prop_assert!(named.binary_search(&tile).is_ok(), "{tile:?} is not among {named:?}");
+        }
+        for tile in named {
+            let in_source =
+                tile.row * PREPARED < source.height && tile.col * PREPARED < source.width;
+            prop_assert!(in_source, "{tile:?}");
+        }
     }
     Ok(())
 }
@@ -202,7 +211,7 @@ fn few_more_tiles_are_named_than_touched() {
         for (row, col) in leaves.step_by(29) {
             let leaf = PageAddress::new(finest, row, col);
             named += prepared_tiles(&transform, target.pyramid(), (leaf, 0), |_| REACH).len();
-            needed += touched(&transform, target.pyramid(), leaf).len();
+            needed += touched(&transform, target.pyramid(), (leaf, 0)).len();
         }
         let ratio = named as f64 / needed as f64;
         worst = worst.max(ratio);

@@ -13,26 +13,26 @@
 //!
 //! Coverage is full [`HALO`] texels inside an outline, and rises over those between. Each part
 //! reaches so many of its own texels past the seam: there both cover wholly, and the rim in which
-//! one's coverage rises lies wholly inside the other. [`HALO`] rows of the band and 0.70 · [`HALO`]
+//! one's coverage rises lies wholly inside the other. [`HALO`] rows of the band and 0.62 · [`HALO`]
 //! rows' worth of the cap are there twice at each seam, and what a square has in its corners.
 //!
 //! # Pixels
 //!
-//! The band's are the raster's. Those of a cap are ¾ of a row at the pole and shrink on the ground
-//! by (1 + sin 60°) / 2 to 0.70 of one at the seam.
+//! The band's are the raster's. Those of a cap are ⅔ of a row at the pole and shrink on the ground
+//! by (1 + sin 60°) / 2 to 0.62 of one at the seam.
 //!
 //! Where its columns crowd at a pole the raster's own surface errs along its rows' height alone, by
-//! h²/√120 of the second derivative in the root mean square; a fitted one ([`super::super::Texels`]) by
-//! h²/√720 along both axes. On a field without a preferred direction those correlate by ⅓, so that
-//! both are √(8/3) times one: pixels of a row would be two thirds as far off as the raster. Along a
-//! meridian's scarp the raster errs not at all, and a cap does: the rest is for that. Of heights of Mars
-//! at 8 pixels a degree, held against maps of 4 km in places of 2 by 30 degrees, and from 75 to 85
-//! degrees in meters,
+//! h²/√120 of the second derivative in the root mean square. A square pixel errs along both axes: by
+//! √(8/3) times as much where texels are values at their centers, and by 1/√3 times as much where they
+//! are fitted ([`super::super::Texels`]). Along a scarp on a meridian the raster has next to no error, and
+//! a cap has as much as anywhere: what pixels are smaller than a row is for that. Of heights of Mars at
+//! 8 pixels a degree, held against every second pixel of maps of 4 km in places of 2 by 30 degrees, and
+//! against surveyed points from 75 to 85 degrees in meters,
 //!
 //! ```text
-//!                                 raster   ⅔, sampled   ⅔, fitted   ¾, fitted
-//!   worst place over the raster's            1.81          0.69        0.85
-//!   root mean square                7.41     5.08          2.05        2.43
+//!                                 raster   ⅔, sampled   ¾, fitted   ⅔, fitted
+//!   worst place over the raster's            1.81          0.85        0.69
+//!   root mean square                7.41     4.96          2.43        2.06
 //! ```
 
 use std::f64::consts::FRAC_PI_2;
@@ -51,7 +51,7 @@ use crate::feather::HALO;
 const SEAM: Radians = Radians(std::f64::consts::FRAC_PI_3);
 
 /// Pixels of a cap, in rows of the raster at the pole.
-const CAP_PIXEL_ROWS: f64 = 3.0 / 4.0;
+const CAP_PIXEL_ROWS: f64 = 2.0 / 3.0;
 
 /// What a globe is split into.
 #[derive(Clone, Debug, PartialEq)]
