@@ -214,6 +214,54 @@ fn degrees(place: Geographic) -> (f64, f64) {
     (place.longitude.0.to_degrees(), place.latitude.0.to_degrees())
 }
 
+/// Four steps of an f32 at the wave's greatest height.
+const ROUNDING_PERCENT: f64 = 100.0 * 4.0 * f32::EPSILON as f64;
+
+/// A quarter of a turn carries both maps and their pixels over into themselves: of a field turned with
+/// them, errors are at a quarter what those of the field itself are at the antimeridian.
+#[test]
+fn the_antimeridian_is_as_good_as_a_meridian_that_lies_like_it() {
+    let map = PolarStereographic {
+        pole: Pole::North,
+        central_meridian: Radians(0.0),
+        scale: PolarScale::AtPole(1.0),
+        false_easting: Meters(0.0),
+        false_northing: Meters(0.0),
+    };
+    let polar = Crs::new(Projection::PolarStereographic(map), moon().ellipsoid);
+    let pixel = std::f64::consts::TAU * moon().ellipsoid.a().0 / 512.0;
+    for (kernel, pixels, _) in LIMITS {
+        let rms = |quarters: f64, meridian_deg: f64, is_from_globe: bool| {
+            let field = move |place: Geographic| {
+                let longitude = Radians(place.longitude.0 - quarters * std::f64::consts::FRAC_PI_2);
+                wave(pixels)(Geographic { longitude, ..place })
+            };
+            let resampler = if is_from_globe {
+                resampled(globe(field), TargetMap::Polar(Pole::North), kernel)
+            } else {
+                let half = 150.0 * pixel;
+                let layout = painted(polar, [-half, half], pixel, (300, 300), field);
+                resampled(layout, TargetMap::Equirectangular, kernel)
+            };
+            let strip = |place| {
+                let (longitude, latitude) = degrees(place);
+                let off = (longitude - meridian_deg + 180.0).rem_euclid(360.0) - 180.0;
+                off.abs() < 3.0 && (60.0..85.0).contains(&latitude)
+            };
+            errors(&texels(&resampler), field, strip).0.max(ROUNDING_PERCENT)
+        };
+        for is_from_globe in [true, false] {
+            let antimeridian = rms(0.0, 180.0, is_from_globe);
+            let like_it = rms(1.0, -90.0, is_from_globe);
+            let ratio = antimeridian / like_it;
+            assert!(
+                (0.99..1.01).contains(&ratio),
+                "{kernel:?} of {pixels} pixels: {antimeridian} %, {like_it} %"
+            );
+        }
+    }
+}
+
 /// What kernels are off by once: the length of the wave in pixels, and the root mean square in
 /// percent of it.
 const LIMITS: [(Kernel, f64, f64); 6] = [
