@@ -8,6 +8,7 @@
 //!   same       the same bytes for any threads and memory; nothing to do; memory is bounded
 //!   churn      processes that ingest, replace and remove in one catalog while others read it
 //!   full       a disk without room
+//!   many       more datasets than files may be open
 //!   modified   rasters that change while they are read
 //!   hints      what is said of going on
 //!   stray      archives that only lack a manifest that names them
@@ -39,6 +40,7 @@ mod unbreakable {
     mod groups;
     mod hints;
     mod kills;
+    mod many;
     mod modified;
     mod rig;
     mod same;

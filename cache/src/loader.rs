@@ -121,12 +121,18 @@ impl Shared {
         }
     }
 
-    /// Starts as many loads as may run. For whoever can wait for threads to be started.
+    /// Starts as many loads as may run, and tells media what may come. For whoever can wait for threads to be started.
     pub(crate) fn start(self: &Arc<Self>, runtime: &Handle) {
         while let Some(request) = self.next() {
             let shared = Arc::clone(self);
             let load = Load { shared, work: request.work, ended: false };
             runtime.spawn_blocking(move || load.run(&request));
+        }
+        let advice = self.store().take_advice();
+        if !advice.is_empty() {
+            runtime.spawn_blocking(move || {
+                advice.iter().for_each(|request| request.dataset.pages.advise(&request.entry));
+            });
         }
     }
 

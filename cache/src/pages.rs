@@ -39,6 +39,12 @@ pub trait PageSource: fmt::Debug + Send + Sync {
     ///
     /// [`ArchiveError`] if they are no such page's.
     fn decode(&self, entry: &PageEntry, payload: &[u8]) -> Result<Page, ArchiveError>;
+
+    /// Says that the stored bytes of a page will probably be asked for in a second or two, and are not yet:
+    /// where they lie far off they may be brought nearer.
+    fn advise(&self, entry: &PageEntry) {
+        let _ = entry;
+    }
 }
 
 impl PageSource for Archive {
@@ -56,5 +62,9 @@ impl PageSource for Archive {
 
     fn decode(&self, entry: &PageEntry, payload: &[u8]) -> Result<Page, ArchiveError> {
         Self::decode(self, entry, payload)
+    }
+
+    fn advise(&self, entry: &PageEntry) {
+        Self::advise(self, entry);
     }
 }

@@ -44,6 +44,8 @@ pub struct Session {
     motion: Motion,
     /// When it was last looked ahead, and what was found.
     ahead: (Option<Instant>, Found),
+    /// How often it was.
+    looks: u32,
     hidden: Hidden,
     /// Whether pages are loaded that are only expected to be needed; so at first.
     pub look_ahead: bool,
@@ -72,8 +74,12 @@ impl Session {
     /// How far the view is expected to go on as it does.
     const LOOK_AHEAD: Duration = Duration::from_millis(500);
 
-    /// How often it is looked ahead at most.
+    /// The same, for what media are told to bring nearer.
+    const LOOK_FAR_AHEAD: Duration = Duration::from_secs(2);
+
+    /// How often it is looked ahead at most, and of how many looks one goes far.
     const LOOK_EVERY: Duration = Duration::from_millis(50);
+    const FAR_OF: u32 = 10;
 
     pub(crate) fn new(engine: Arc<Engine>, number: u64) -> Self {
         let shared = engine.shared();
@@ -109,6 +115,7 @@ impl Session {
             views: Vec::new(),
             motion: Motion::default(),
             ahead: (None, Found::default()),
+            looks: 0,
             hidden: Hidden::default(),
             look_ahead: true,
             blends: false,
@@ -349,7 +356,7 @@ impl Session {
         self.wanted.swap(0, 1);
     }
 
-    /// Asks for what the views will need in a moment.
+    /// Asks for what the views will need in a moment, or tells media of what they may need after that.
     fn prefetch(&mut self, store: &mut Store, now: Instant) {
         let allowance = self.allowance();
         let (last, found) = &mut self.ahead;
@@ -357,16 +364,23 @@ impl Session {
             return;
         }
         *last = Some(now);
+        self.looks = self.looks.wrapping_add(1);
+        let is_far = self.looks.is_multiple_of(Self::FAR_OF);
+        let reach = if is_far { Self::LOOK_FAR_AHEAD } else { Self::LOOK_AHEAD };
         let mut needs = Vec::new();
         if let (Some(view), 1) =
-            (self.motion.predict(Self::LOOK_AHEAD, self.shown.scene.radii()[0].0), self.views.len())
+            (self.motion.predict(reach, self.shown.scene.radii()[0].0), self.views.len())
         {
             let (hidden, blends) = (&self.hidden, self.blends);
             let wish = Wish { views: &[view], hidden, allowance, blends };
             search(&self.shown.scene, &mut self.memo, wish, found);
             self.matcher.expect(&self.shown.scene, found, store, &mut needs);
         }
-        store.replace_ahead(self.number, needs);
+        if is_far {
+            store.advise(needs);
+        } else {
+            store.replace_ahead(self.number, needs);
+        }
     }
 }
 

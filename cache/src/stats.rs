@@ -30,6 +30,10 @@ pub struct Stats {
     pub ahead_used: u64,
     /// Those of them that were dropped before.
     pub ahead_wasted: u64,
+    /// Pages whose bytes a medium was told to bring nearer.
+    pub advised: u64,
+    /// Those of them that have been loaded since.
+    pub advised_used: u64,
     /// What searches looked at.
     pub visited: u64,
     /// Updates that found the store in use and repeated the last selection.

@@ -13,6 +13,7 @@
 //! short, sessions take turns, and what is only expected to be needed waits for all of them.
 
 use std::collections::{BTreeMap, HashSet, VecDeque};
+use std::num::NonZeroUsize;
 use std::ops::Bound;
 use std::sync::Arc;
 use std::time::Duration;
@@ -126,6 +127,10 @@ pub(crate) struct Store {
     limits: Limits,
     /// Bytes loaded or being loaded ahead of any need, and not needed yet.
     ahead_bytes: usize,
+    /// What media are to be told next.
+    advice: Vec<Request>,
+    /// What they have been told, and has not been loaded since.
+    advised: LruCache<PageName, (), FxBuildHasher>,
     /// Whether the next load has to wait for memory that nothing under way will free.
     pub(crate) stalled: bool,
     pub(crate) stats: Stats,
@@ -134,6 +139,9 @@ pub(crate) struct Store {
 impl Store {
     /// The part of the budget that may hold what is not needed yet.
     const AHEAD: usize = 4;
+
+    /// Pages that media were told of and that are remembered.
+    const ADVISED: NonZeroUsize = NonZeroUsize::new(4096).expect("not 0");
 
     pub(crate) fn new(budget_bytes: usize, limits: Limits) -> Self {
         Self {
@@ -144,6 +152,8 @@ impl Store {
             last_served: 0,
             limits,
             ahead_bytes: 0,
+            advice: Vec::new(),
+            advised: LruCache::with_hasher(Self::ADVISED, FxBuildHasher),
             stalled: false,
             stats: Stats { budget_bytes, ..Stats::default() },
         }
@@ -202,6 +212,23 @@ impl Store {
         queue.wanted_ahead.clear();
         queue.wanted_ahead.extend(requests.iter().map(|request| request.work));
         queue.ahead = requests.into();
+    }
+
+    /// Notes what media are to be told of: pages that will probably be asked for, each once.
+    pub(crate) fn advise(&mut self, requests: impl IntoIterator<Item = Request>) {
+        for request in requests {
+            if let Work::Texels(name) = request.work
+                && self.advised.put(name, ()).is_none()
+            {
+                self.stats.advised += 1;
+                self.advice.push(request);
+            }
+        }
+    }
+
+    /// What media are to be told, once.
+    pub(crate) fn take_advice(&mut self) -> Vec<Request> {
+        std::mem::take(&mut self.advice)
     }
 
     /// Holds on to roots, of all sessions a tenth of the budget at most.
@@ -289,6 +316,8 @@ impl Store {
             Outcome::Loaded(None) => self.stats.index_loads += 1,
             Outcome::Loaded(Some(page)) => {
                 self.stats.loads += 1;
+                let advised = self.advised.pop(&work.name()).is_some();
+                self.stats.advised_used += u64::from(advised);
                 if let Payload::Record { length, .. } = page.entry.payload {
                     self.stats.loaded_bytes += u64::from(length);
                 }

@@ -1,7 +1,9 @@
 //! A planet in memory, and the cache put to the test on it.
 
+mod asking;
 mod changing;
 mod culling;
+mod failing;
 mod faulty;
 mod frames;
 mod loading;
@@ -10,6 +12,7 @@ mod orders;
 
 use std::collections::HashMap;
 use std::io;
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Condvar, Mutex};
 
@@ -29,6 +32,11 @@ use areoid_formats::units::{Degrees, Meters};
 use glam::{DMat3, DVec3};
 
 use crate::{Cache, DatasetInfo, Options, Selection, Session, View};
+
+/// A budget for all there is.
+const PLENTY: usize = 64 << 20;
+/// Decoded bytes of a page.
+const PAGE: usize = 66 * 66 * 4;
 
 fn mars() -> Body {
     Body::parse("mars").unwrap()
@@ -51,6 +59,10 @@ fn cap() -> Grid {
     let outline = Outline { origin: [-8e5, 8e5], pixel_size: [3125.0; 2], width: 512, height: 512 };
     let crs = Crs::from_proj_string("+proj=stere +lat_0=90 +R=3396190").unwrap();
     Grid::from_outline(crs, outline, 66).unwrap().grid
+}
+
+fn addresses(selection: &Selection) -> Vec<PageAddress> {
+    selection.pages.iter().map(|page| page.entry.page).collect()
 }
 
 /// A number in [0, 1) that depends on the page and a salt.
@@ -176,6 +188,8 @@ struct Gate {
     failing: AtomicBool,
     /// Offset and length of all reads that passed.
     reads: Mutex<Vec<(u64, usize)>>,
+    /// Where what it was told of begins, and whether it had been read before.
+    told: Mutex<Vec<(u64, bool)>>,
 }
 
 impl Gate {
@@ -218,6 +232,11 @@ impl ByteSource for GatedSource {
     fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
         self.gate.pass(offset, buffer.len())?;
         self.bytes.read_exact_at(buffer, offset)
+    }
+
+    fn advise(&self, range: Range<u64>) {
+        let was_read = self.gate.reads.lock().unwrap().iter().any(|read| read.0 == range.start);
+        self.gate.told.lock().unwrap().push((range.start, was_read));
     }
 }
 

@@ -4,16 +4,19 @@
 //!   f(p) = A Σ cos(k dᵢ·p + φᵢ)      p on the unit sphere, dᵢ spread over it, k = 2π / wavelength
 //! ```
 //!
-//! Along the ground a wave is nowhere shorter than its wavelength, poles and antimeridian are like
-//! every other place, and nothing is sampled twice. Positions are closed forms of the maps written
-//! down here, none of the program's own.
+//! Along the ground a wave is nowhere shorter than its wavelength, and nothing is sampled twice. With each
+//! direction come those a quarter, a half and three quarters of a turn about the axis from it: a
+//! meridian is met by the same directions as those that lie like it on a map about a pole, so that poles
+//! and antimeridian are like other places. Positions are closed forms of the maps written down here,
+//! none of the program's own.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use super::geotiff::Place;
 
-/// Waves of a field.
-const WAVES: u32 = 12;
+/// Directions of a field within a quarter of a turn, and waves in all.
+const DIRECTIONS: u32 = 12;
+const WAVES: u32 = 4 * DIRECTIONS;
 
 /// The root of the mean square of a field, in meters.
 pub(super) const STRENGTH_M: f64 = 1000.0;
@@ -31,8 +34,10 @@ impl Waves {
         // A spiral over the sphere, and phases that do not repeat.
         let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
         let wave = |at: u32| {
-            let z = 1.0 - (2.0 * f64::from(at) + 1.0) / f64::from(WAVES);
-            let (around, across) = (TAU * golden * f64::from(at) + 0.7, (1.0 - z * z).sqrt());
+            let (step, quarter) = (f64::from(at / 4), f64::from(at % 4));
+            let z = 1.0 - (2.0 * step + 1.0) / f64::from(DIRECTIONS);
+            let around = TAU * golden * step + 0.7 + FRAC_PI_2 * quarter;
+            let across = (1.0 - z * z).sqrt();
             let direction = [across * around.cos(), across * around.sin(), z];
             (
                 direction.map(|part| part * TAU / wavelength),

@@ -158,8 +158,13 @@ impl Replay<'_> {
             Pace::Real | Pace::Fast => Options::interactive(),
         };
         let seconds = start.elapsed().as_secs_f64();
-        let (fade_seconds, upload_limit_bytes) = (paced.fade_seconds, paced.upload_limit_bytes);
-        Options { seconds, fade_seconds, upload_limit_bytes, ..options.clone() }
+        Options {
+            seconds,
+            fade_seconds: paced.fade_seconds,
+            upload_limit_bytes: paced.upload_limit_bytes,
+            upload_limit_seconds: paced.upload_limit_seconds,
+            ..options.clone()
+        }
     }
 }
 

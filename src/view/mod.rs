@@ -20,8 +20,8 @@ use crate::shot::{Quality, read_style};
 /// raster onto the window to insert it.
 ///
 /// Keys: N turns north ahead, E exaggerates heights, L changes the light, A shows the atmosphere,
-/// C colors by height, D shows levels, datasets, pages and what stands in, V shows two places or two
-/// eyes, B puts a bookmark and 1 to 9 go to one, R begins and ends to record a flight, P saves a
+/// C colors by height, D shows levels, datasets, pages and what stands in, V shows two places, two
+/// eyes or a wall of three screens, B puts a bookmark and 1 to 9 go to one, R begins and ends to record a flight, P saves a
 /// screenshot, H hides the panel, Esc ends.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {

@@ -7,8 +7,6 @@ use std::time::{Duration, Instant};
 use super::*;
 use crate::open::newcomer;
 
-const PLENTY: usize = 64 << 20;
-
 fn numbers(selection: &Selection) -> BTreeSet<usize> {
     selection.pages.iter().map(|page| page.dataset).collect()
 }

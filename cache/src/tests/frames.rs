@@ -6,8 +6,6 @@ use std::time::{Duration, Instant};
 
 use super::*;
 
-const PLENTY: usize = 64 << 20;
-
 #[test]
 fn an_unchanged_view_allocates_nothing() {
     let globe = Gated::new("globe", globe(), Kind::Height);
@@ -126,6 +124,31 @@ fn a_steady_flight_is_looked_ahead_of() {
         (stats.first_resident - before.first_resident) as f64 / first as f64
     });
     assert!(residents[1] >= 0.8 && residents[0] < 0.5, "{residents:?}");
+}
+
+/// What lies further ahead is told to the medium, each page once, before it is read.
+#[test]
+fn media_are_told_of_what_comes_later() {
+    let globe = Gated::new("globe", fine_globe(), Kind::Height);
+    let cache = globe.cache(PLENTY, 2);
+    let mut session = cache.session();
+    let at = |turn: f64| View { tolerance_px: 0.1, ..view(turn, 20.0, 2e5, 45.0) };
+    session.settle(&at(0.0));
+    let (start, frame) = (Instant::now(), Duration::from_micros(16_667));
+    for step in 0..180_u32 {
+        session.update(&at(0.2 * f64::from(step)));
+        while start.elapsed() < frame * (step + 1) || cache.stats().reserved_bytes > 0 {
+            std::thread::yield_now();
+        }
+    }
+    let stats = cache.stats();
+    let told = globe.gate.told.lock().unwrap();
+    let places: HashSet<u64> = told.iter().map(|(start, _)| *start).collect();
+    assert_eq!(places.len(), told.len());
+    assert!(places.len() > 10 && places.len() as u64 <= stats.advised, "{stats:?}");
+    let late = told.iter().filter(|(_, was_read)| *was_read).count();
+    assert!(late < told.len() / 4, "{late} of {}", told.len());
+    assert!(stats.advised_used > 5 && stats.advised_used <= stats.advised, "{stats:?}");
 }
 
 /// What was looked away from is still there.

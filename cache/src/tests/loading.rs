@@ -1,19 +1,9 @@
-//! Loads, budget, pins, failures: what sessions see while pages come and go.
+//! Loads, budget, pins: what sessions see while pages come and go.
 
 use std::collections::HashSet;
 use std::sync::Barrier;
-use std::time::Duration;
-
-use tokio::time::advance;
 
 use super::*;
-use crate::open::newcomer;
-use crate::scene::Scene;
-use crate::store::{Limits, Outcome, PageName, Request, Store, Work};
-
-const PLENTY: usize = 64 << 20;
-/// Decoded bytes of a page.
-const PAGE: usize = 66 * 66 * 4;
 
 /// Wanted pages of a settled selection and all of their ancestors.
 fn with_ancestors(selection: &Selection) -> HashSet<PageAddress> {
@@ -26,10 +16,6 @@ fn with_ancestors(selection: &Selection) -> HashSet<PageAddress> {
         }
     }
     all
-}
-
-fn addresses(selection: &Selection) -> Vec<PageAddress> {
-    selection.pages.iter().map(|page| page.entry.page).collect()
 }
 
 #[test]
@@ -298,31 +284,6 @@ fn the_root_stays() {
 }
 
 #[test]
-fn a_damaged_page_is_told_and_stood_in_for() {
-    let (description, mut bytes) = planet("globe", globe(), Kind::Height);
-    let whole = Gated::from_bytes(description.clone(), bytes.clone());
-    let near = view(10.0, 20.0, 3e5, 30.0);
-    let settled = whole.cache(PLENTY, 2).session().settle(&near);
-    let victim = settled.pages.last().unwrap().entry;
-    let Payload::Record { offset, .. } = victim.payload else { panic!("heights are stored") };
-    bytes[usize::try_from(offset).unwrap() + RECORD_HEAD_LEN + 9] ^= 0x10;
-
-    let damaged = Gated::from_bytes(description, bytes);
-    let cache = damaged.cache(PLENTY, 2);
-    let mut session = cache.session();
-    for _ in 0..3 {
-        let selection = session.settle(&near);
-        assert_eq!((selection.missing, selection.failed.len()), (0, 1));
-        assert_eq!(selection.failed[0].page, victim.page);
-        assert!(selection.failed[0].error.contains("damaged"), "{}", selection.failed[0].error);
-        let pages = addresses(&selection);
-        assert!(pages.contains(&victim.page.parent().unwrap()) && !pages.contains(&victim.page));
-    }
-    assert_eq!(cache.stats().errors, 1);
-    assert_eq!(damaged.page_reads()[&victim.page], 1);
-}
-
-#[test]
 fn a_dataset_appears_in_one_step() {
     let (globe, cap) =
         (Gated::new("globe", globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height));
@@ -340,63 +301,6 @@ fn a_dataset_appears_in_one_step() {
     for page in &before.pages {
         assert!(after.pages.iter().any(|now| Arc::ptr_eq(now, page)));
     }
-}
-
-/// A medium that fails for a while is tried again, and what it has is shown then.
-#[test]
-fn what_failed_is_tried_again() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
-    let cache = globe.cache(PLENTY, 2);
-    let mut session = cache.session();
-    let near = view(10.0, 20.0, 3e5, 30.0);
-    globe.gate.fail(true);
-    let failing = session.settle(&near);
-    assert!(failing.pages.is_empty() && !failing.failed.is_empty());
-    assert!(failing.failed[0].error.contains("out of order"), "{}", failing.failed[0].error);
-    globe.gate.fail(false);
-    let healed = loop {
-        while !session.has_news() {
-            std::thread::yield_now();
-        }
-        let now = session.settle(&near);
-        if now.failed.is_empty() {
-            break now;
-        }
-    };
-    assert!(healed.missing == 0 && healed.pages.len() == healed.wanted);
-}
-
-/// What fails again and again is asked for less and less often; what has come is as if it had never
-/// failed, and so is everything once the reason is gone.
-#[tokio::test(start_paused = true)]
-async fn what_fails_again_waits_twice_as_long() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
-    let newcomer = newcomer(globe.info.clone(), Arc::clone(&globe.archive) as _).unwrap();
-    let scene = Scene::empty(mars()).changed(|_| false, [newcomer]);
-    let (dataset, entry) = (&scene.datasets[0], globe.entries[0]);
-    let work = Work::Texels(PageName { dataset: dataset.number, page: entry.page });
-    let mut store = Store::new(PLENTY, Limits { loads: 1, bytes: PLENTY });
-    let attempt = |store: &mut Store, outcome| {
-        let request = Request { work, dataset: Arc::clone(dataset), entry, bytes: PAGE };
-        store.replace_requests(1, vec![request]);
-        assert_eq!(store.next().map(|request| request.work), Some(work));
-        store.finish(work, outcome);
-    };
-    let failed = || Outcome::Failed("out of order".into());
-    for seconds in [1, 2, 4, 8, 16, 32, 60, 60] {
-        attempt(&mut store, failed());
-        advance(Duration::from_millis(1000 * seconds - 1)).await;
-        assert!(store.error(work).is_some(), "{seconds}");
-        advance(Duration::from_millis(1)).await;
-        assert!(store.error(work).is_none(), "{seconds}");
-    }
-    attempt(&mut store, Outcome::Loaded(None));
-    attempt(&mut store, failed());
-    advance(Duration::from_secs(1)).await;
-    assert!(store.error(work).is_none());
-    attempt(&mut store, failed());
-    store.forgive();
-    assert!(store.error(work).is_none());
 }
 
 /// While many pages are missing, one in eight more is asked for to stand in for them; for a few, none.
@@ -419,110 +323,4 @@ fn one_page_stands_in_for_eight() {
     assert!(many > 40 && others >= 2 && others <= many / 8, "{others} for {many}");
     let (few, others) = extra(5.0, 2e5);
     assert!((2..8).contains(&few) && others == 0, "{others} for {few}");
-}
-
-/// Pages by name, one after another and beside a session that flies on.
-#[test]
-fn single_pages_are_loaded_for_whoever_asks() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
-    let cache = globe.cache(PLENTY, 2);
-    let mut session = cache.session();
-    for (step, entry) in globe.entries.iter().enumerate().take(60) {
-        session.update(&view(6.0 * step as f64, 20.0, 3e5, 30.0));
-        let page = cache.wait_for(cache.page(0, entry.page)).unwrap().unwrap();
-        assert_eq!((page.dataset, page.entry.page), (0, entry.page));
-        let truth = globe.archive.page(entry).unwrap();
-        assert_eq!(page.page.texels(), truth.texels());
-        assert!(Arc::ptr_eq(&page, &cache.resident(0, entry.page).unwrap()));
-    }
-    let nowhere = PageAddress::new(Level(0), 9, 9);
-    assert!(cache.wait_for(cache.page(0, nowhere)).unwrap().is_none());
-    let error = cache.wait_for(cache.page(7, nowhere)).unwrap_err();
-    assert!(matches!(error, crate::PageError::NoSuchDataset(7)), "{error}");
-    drop(session);
-    let held = globe.cache(PAGE / 2, 1);
-    let error = held.wait_for(held.page(0, globe.entries[0].page)).unwrap_err();
-    assert!(matches!(error, crate::PageError::NoRoom { .. }), "{error}");
-}
-
-/// The height of what is drawn is within both bounds of that of the finest data, which is what a query
-/// of the archives answers.
-#[test]
-fn a_selection_knows_heights_as_well_as_it_says() {
-    use areoid_formats::query::HeightQuery;
-    let (globe, cap) =
-        (Gated::new("globe", globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height));
-    let cache = globe.cache(PLENTY, 2);
-    cache.insert(cap.info.clone(), Arc::clone(&cap.archive) as _).unwrap();
-    let mut session = cache.session();
-    let archives = [&*globe.archive, &*cap.archive];
-    let mut query = HeightQuery::new(archives, None);
-    let (mut found, mut coarse) = (0, 0);
-    for step in 0..60 {
-        let (longitude, latitude) = (6.1 * f64::from(step), 60.0 + 0.49 * f64::from(step));
-        let position = Geographic::from_degrees(Degrees(longitude), Degrees(latitude));
-        let selection = session.settle(&view(longitude, latitude, 8e5, 0.0));
-        let drawn = selection.height(position);
-        let exact = cache.wait_for(cache.exact_height(position)).unwrap();
-        let truth = query.height(position).unwrap();
-        match (&exact, truth) {
-            (Some(exact), Some(truth)) => {
-                assert!((exact.height_m - truth.height_m).abs() < 1e-9);
-                assert_eq!((exact.bound_m, &exact.datasets), (truth.bound_m, &truth.datasets));
-            }
-            (None, None) => {}
-            other => panic!("{other:?}"),
-        }
-        if let (Some(drawn), Some(exact)) = (drawn, exact) {
-            // These planets' texels are not those that their bounds are of: the figures are all there is
-            // to compare.
-            assert!(drawn.bound_m >= exact.bound_m);
-            coarse += u32::from(drawn.bound_m > 0.0);
-            found += 1;
-        }
-    }
-    assert!(found > 20 && coarse > 0, "{found} {coarse}");
-}
-
-/// Of pages over one another the finest answers.
-#[test]
-fn a_height_is_that_of_the_finest_page() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
-    let cache = globe.cache(PLENTY, 2);
-    let settled = cache.session().settle(&view(0.0, 0.0, 1e7, 0.0));
-    let grid = &globe.info.grid;
-    let finest = grid.pyramid().finest();
-    let mut found = 0;
-    for entry in globe.entries.iter().filter(|entry| entry.page.level == finest).take(40) {
-        let mut lineage: Vec<_> =
-            std::iter::successors(Some(entry.page), |page| page.parent()).collect();
-        lineage.reverse();
-        let load = |page: PageAddress| cache.wait_for(cache.page(0, page)).unwrap().unwrap();
-        let select = |pages: &[PageAddress]| Selection {
-            generation: 0,
-            scene: 0,
-            datasets: settled.datasets.clone(),
-            pages: pages.iter().map(|page| load(*page)).collect(),
-            missing: 0,
-            roots: Vec::new(),
-            beneath: Vec::new(),
-            failed: Vec::new(),
-            tolerance_px: 1.0,
-            error_px: 1.0,
-            visited: 0,
-            wanted: 0,
-            culled: 0,
-        };
-        let interior = f64::from(grid.pyramid().interior());
-        let [x, y] = [entry.page.col, entry.page.row].map(|at| (f64::from(at) + 0.5) * interior);
-        let place = areoid_formats::grid::TexelPoint { x, y };
-        let position = grid.geographic_from_texel(finest, place).unwrap();
-        let all = select(&lineage).height(position).unwrap();
-        let alone = select(&[entry.page]).height(position).unwrap();
-        let above = select(&lineage[..lineage.len() - 1]).height(position).unwrap();
-        assert_eq!((all.height_m, all.bound_m), (alone.height_m, alone.bound_m));
-        assert!(above.bound_m > alone.bound_m);
-        found += 1;
-    }
-    assert_eq!(found, 40);
 }

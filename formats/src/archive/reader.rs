@@ -243,6 +243,14 @@ impl Archive {
         Ok(payload)
     }
 
+    /// Says that the stored bytes of a page will probably be read soon: [`ByteSource::advise`].
+    pub fn advise(&self, entry: &PageEntry) {
+        if let Payload::Record { offset, length, .. } = entry.payload {
+            let start = offset.saturating_add(RECORD_HEAD_LEN as u64);
+            self.source.advise(start..start.saturating_add(u64::from(length)));
+        }
+    }
+
     /// The texels of a page.
     ///
     /// # Errors

@@ -15,7 +15,6 @@ mod change;
 mod publish;
 mod stray;
 
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -32,7 +31,7 @@ pub use stray::stray;
 use crate::archive::Archive;
 use crate::body::Body;
 use crate::bvh::Bvh;
-use crate::storage::FileSource;
+use crate::storage::Descriptors;
 
 /// One generation of a catalog, as it was when it was opened.
 #[derive(Clone, Debug)]
@@ -176,7 +175,8 @@ impl Catalog {
         self.folder.join(build::ARCHIVES).join(&record.file)
     }
 
-    /// Opens the archive of a dataset.
+    /// Opens the archive of a dataset, with one of the [`Descriptors::of_process`]: however many datasets
+    /// are open, files are few.
     ///
     /// # Errors
     ///
@@ -184,11 +184,11 @@ impl Catalog {
     /// [`CatalogError::OtherArchive`] if it is not the archive that the manifest names.
     pub fn archive(&self, record: &DatasetRecord) -> Result<Archive, CatalogError> {
         let path = self.archive_path(record);
-        let file = match fs::File::open(&path) {
+        let file = match Descriptors::of_process().open(&path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 return Err(CatalogError::Missing { path });
             }
-            opened => opened.and_then(FileSource::new),
+            opened => opened,
         };
         let source = file.map_err(|source| CatalogError::io("open", &path, source))?;
         let archive = match Archive::open(Box::new(source)) {

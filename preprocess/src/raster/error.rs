@@ -79,7 +79,7 @@ pub enum RasterError {
     },
 
     /// A coordinate reference system that is not understood.
-    #[error("{}: {origin} is not understood", path.display())]
+    #[error("{}: the coordinate reference system of {origin} is not understood", path.display())]
     Crs {
         /// The raster.
         path: PathBuf,

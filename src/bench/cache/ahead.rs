@@ -9,7 +9,7 @@ use serde_json::json;
 use super::Setting;
 use super::flights::flights;
 use super::planet::{Planet, body};
-use super::replay::{fly, view};
+use super::replay::{WINDOW, fly};
 use super::skipping::planets;
 use crate::bench::report::{Chapter, Relation, Table, Target};
 use crate::failure::Failure;
@@ -39,10 +39,10 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
                 .map_err(|error| Failure::Failed(error.into()))?;
             let mut session = cache.session();
             session.look_ahead = is_ahead;
-            session.settle(&view(&named.flight, 0.0));
+            session.settle(&WINDOW.view(&named.flight, 0.0));
             let before = cache.stats();
             let (start, mut early) = (Instant::now(), before);
-            fly(&named.flight, &mut session, |_, _, _| {
+            fly(&named.flight, WINDOW, &mut session, |_, _, _| {
                 if start.elapsed() < SETTING_OUT {
                     early = cache.stats();
                 }

@@ -17,7 +17,7 @@ use serde_json::json;
 use super::Setting;
 use super::flights::leaps;
 use super::planet::{Planet, body};
-use super::replay::fly;
+use super::replay::{LARGE, fly};
 use crate::bench::report::{Chapter, Relation, Table, Target};
 use crate::failure::Failure;
 
@@ -51,7 +51,7 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
             .map_err(|error| Failure::Failed(error.into()))?;
         let mut session = cache.session();
         let (mut peak_mib, mut evicted_on_screen, mut last) = (0.0_f64, 0_u64, None);
-        fly(&flight, &mut session, |_, selection, _| {
+        fly(&flight, LARGE, &mut session, |_, selection, _| {
             peak_mib = peak_mib.max(resident_mib());
             // What is on the screen and still wanted has to be the very page that it was.
             if let Some(before) = last.replace(Arc::clone(selection)) {
@@ -100,7 +100,8 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
         title: "Memory in flight",
         notes: vec![format!(
             "A flight of {seconds:.0} s in real time with a leap every five seconds, on pages of 512 \
-             texels, loads of 2 ms. That decoded pages and loads never pass the budget is asserted \
+             texels, loads of 2 ms, on a screen of 3840 by 2160 pixels at a quarter of a pixel: views that \
+             need more than any of the budgets. That decoded pages and loads never pass the budget is asserted \
              at every change. *Decoded again* are pages decoded twice within a second, *lost* those \
              that were on the screen, were still wanted, and were another copy in the next frame."
         )],

@@ -13,7 +13,7 @@ use super::Setting;
 use super::flights::flights;
 use super::patches::{Patch, patch, patches};
 use super::planet::body;
-use super::replay::fly;
+use super::replay::{WINDOW, fly};
 use crate::bench::report::{Chapter, Relation, Table, Target, quantile};
 use crate::failure::Failure;
 
@@ -38,7 +38,7 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
         let (mut took_ms, mut visited, mut seen, mut wanted) = (Vec::new(), 0, 0, 0);
         let before = cache.stats();
         let changes = beside(&cache, count, delay, || {
-            fly(&named.flight, &mut session, |_, selection, took| {
+            fly(&named.flight, WINDOW, &mut session, |_, selection, took| {
                 took_ms.push(took.as_secs_f64() * 1e3);
                 visited += selection.visited;
                 seen += selection.wanted + selection.culled;

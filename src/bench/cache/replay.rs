@@ -12,23 +12,40 @@ use super::planet::body;
 /// Frames a second.
 pub(super) const FRAMES: u32 = 60;
 
-/// The view of a flight after some seconds, on a screen of 1280 by 720 pixels.
-pub(super) fn view(flight: &Flight, seconds: f64) -> View {
-    let pose = flight.pose(&body().ellipsoid, seconds);
-    pose.view(Degrees(45.0).into(), [1280, 720], 1.0)
+/// What a flight is seen on.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Screen {
+    /// Width and height, in pixels.
+    size: [u32; 2],
+    tolerance_px: f64,
 }
 
-/// The views of all frames.
-pub(super) fn views(flight: &Flight) -> impl Iterator<Item = View> + '_ {
-    (0_u32..)
-        .map(|frame| f64::from(frame) / f64::from(FRAMES))
-        .take_while(|seconds| *seconds <= flight.seconds())
-        .map(|seconds| view(flight, seconds))
+/// A window.
+pub(super) const WINDOW: Screen = Screen { size: [1280, 720], tolerance_px: 1.0 };
+
+/// A large screen, on which errors are small: views that need as much as they may.
+pub(super) const LARGE: Screen = Screen { size: [3840, 2160], tolerance_px: 0.25 };
+
+impl Screen {
+    /// The view of a flight after some seconds.
+    pub(super) fn view(&self, flight: &Flight, seconds: f64) -> View {
+        let pose = flight.pose(&body().ellipsoid, seconds);
+        pose.view(Degrees(45.0).into(), self.size, self.tolerance_px)
+    }
+
+    /// The views of all frames.
+    pub(super) fn views(self, flight: &Flight) -> impl Iterator<Item = View> + '_ {
+        (0_u32..)
+            .map(|frame| f64::from(frame) / f64::from(FRAMES))
+            .take_while(|seconds| *seconds <= flight.seconds())
+            .map(move |seconds| self.view(flight, seconds))
+    }
 }
 
 /// Flies in real time; `each` is told every frame's selection and what its update took.
 pub(super) fn fly(
     flight: &Flight,
+    screen: Screen,
     session: &mut Session,
     mut each: impl FnMut(&View, &Arc<Selection>, Duration),
 ) {
@@ -39,7 +56,7 @@ pub(super) fn fly(
         if now > flight.seconds() {
             break;
         }
-        let view = view(flight, now);
+        let view = screen.view(flight, now);
         let before = clock();
         let selection = session.update(&view);
         each(&view, &selection, clock().saturating_sub(before));

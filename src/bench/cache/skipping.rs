@@ -20,7 +20,7 @@ use serde_json::json;
 use super::Setting;
 use super::flights::flights;
 use super::planet::{Planet, body};
-use super::replay::views;
+use super::replay::WINDOW;
 use crate::bench::report::{Chapter, Relation, Table, Target};
 use crate::failure::Failure;
 
@@ -40,7 +40,7 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
         let mut session = cache.session();
         session.look_ahead = false;
         let (mut necessary, mut frames, mut wanted) = (HashSet::new(), 0, [0, 0]);
-        for view in views(&named.flight).step_by(6) {
+        for view in WINDOW.views(&named.flight).step_by(6) {
             let selection = session.settle(&view);
             let here = brute_force(&planets, &view);
             wanted[0] += selection.wanted;

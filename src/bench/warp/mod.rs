@@ -92,7 +92,7 @@ pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
         title: "Resampling beside others",
         notes: vec![
             "Speed: whole meters in 16 bits with holes, DEFLATE in tiles, to a file without compression; all \
-             cores, in turn. Error: twelve plane waves through the sphere, as floating point, on \
+             cores, in turn. Error: 48 plane waves through the sphere, as floating point, on \
              maps a quarter as wide; in percent of the field's root mean square. A wavelength is in \
              pixels where those are largest. Exact: every place one by one (`-et 0`)."
                 .to_owned(),
@@ -239,7 +239,7 @@ fn of_our_own(direction: &Direction, ways: &[Way], errors: &[Option<ByWave>]) ->
                 "{}, {name}: root mean square error of {} over the largest of places like it, worst",
                 direction.name, way.kernel
             );
-            targets.push(Target::new(what, Relation::AtMost, 1.0, ratios.and_then(worst)));
+            targets.push(Target::new(what, Relation::AtMost, NO_HIGHER, ratios.and_then(worst)));
         }
     }
     for (wave, limit) in SPLINE_RMS {

@@ -4,4 +4,6 @@ pub(crate) mod slots;
 
 pub(crate) mod table;
 
+pub(crate) mod uploads;
+
 pub(crate) mod texture;

@@ -3,6 +3,7 @@
 use areoid_formats::page::{Kind, Page, Texels};
 
 use super::slots::{PageName, Placed, Slots};
+use super::uploads::{Target, Uploads};
 use crate::gpu::Gpu;
 
 /// Layers at first.
@@ -34,8 +35,6 @@ pub(crate) struct Atlas {
     side: u32,
     layers: u32,
     most_layers: u32,
-    /// Texels on their way up; kept so that a page costs no allocation.
-    staging: Vec<u8>,
 }
 
 impl Atlas {
@@ -55,7 +54,7 @@ impl Atlas {
         let layers = FIRST_LAYERS.min(most_layers);
         let textures = planes.iter().map(|plane| texture(gpu, plane, side, layers)).collect();
         let slots = Slots::new(layers);
-        Self { planes, textures, slots, side, layers, most_layers, staging: Vec::new() }
+        Self { planes, textures, slots, side, layers, most_layers }
     }
 
     /// Texels along the side of a slot.
@@ -83,16 +82,22 @@ impl Atlas {
 
     /// The slot of a page, written if it is new, or `None` if the budget is spent on pages of this
     /// turn. The textures change where the atlas grows: compare [`Self::layers`].
-    pub(crate) fn place(&mut self, gpu: &Gpu, name: PageName, page: &Page) -> Option<u32> {
+    pub(crate) fn place(
+        &mut self,
+        gpu: &Gpu,
+        uploads: &mut Uploads,
+        name: PageName,
+        page: &Page,
+    ) -> Option<u32> {
         let mut placed = self.slots.place(name);
         if placed == Placed::Full && self.layers < self.most_layers {
-            self.grow(gpu);
+            self.grow(gpu, uploads);
             placed = self.slots.place(name);
         }
         match placed {
             Placed::Resident(slot) => Some(slot),
             Placed::New(slot) => {
-                self.write(gpu, slot, page);
+                self.write(gpu, uploads, slot, page);
                 Some(slot)
             }
             Placed::Full => None,
@@ -104,56 +109,48 @@ impl Atlas {
         self.layers
     }
 
-    fn grow(&mut self, gpu: &Gpu) {
+    fn grow(&mut self, gpu: &Gpu, uploads: &mut Uploads) {
         let layers = (2 * self.layers).min(self.most_layers);
-        let descriptor = wgpu::CommandEncoderDescriptor { label: Some("grow an atlas") };
-        let mut encoder = gpu.device.create_command_encoder(&descriptor);
+        let encoder = uploads.encoder(gpu);
         for (plane, old) in self.planes.iter().zip(&mut self.textures) {
             let new = texture(gpu, plane, self.side, layers);
             encoder.copy_texture_to_texture(old.as_image_copy(), new.as_image_copy(), old.size());
             *old = new;
         }
-        gpu.queue.submit([encoder.finish()]);
         self.slots.grow(layers);
         self.layers = layers;
     }
 
-    fn write(&mut self, gpu: &Gpu, slot: u32, page: &Page) {
-        let side = u32::try_from(page.side()).expect("a page has at most 4096 texels a side");
+    fn write(&self, gpu: &Gpu, uploads: &mut Uploads, slot: u32, page: &Page) {
+        let columns = page.side();
+        let side = u32::try_from(columns).expect("a page has at most 4096 texels a side");
         for (plane, texture) in self.planes.iter().zip(&self.textures) {
-            self.staging.clear();
-            match (page.texels(), plane.format) {
-                (Texels::Height(texels), wgpu::TextureFormat::R32Float) => {
-                    let numbers = texels.iter().map(|h| if h.is_finite() { *h } else { 0.0 });
-                    self.staging.extend(numbers.flat_map(f32::to_le_bytes));
+            let bytes_per_texel = plane.bytes_per_texel;
+            let target = Target { texture, layer: slot, side, bytes_per_texel };
+            uploads.write(gpu, target, |row, bytes| {
+                let texels = row * columns..(row + 1) * columns;
+                let coverage = page.coverage().map(|coverage| &coverage[texels.clone()]);
+                match (page.texels(), plane.format) {
+                    (Texels::Height(heights), wgpu::TextureFormat::R32Float) => {
+                        let finite = |height: &f32| if height.is_finite() { *height } else { 0.0 };
+                        let heights = heights[texels].iter().map(finite);
+                        bytes.extend(heights.flat_map(f32::to_le_bytes));
+                    }
+                    (Texels::Height(_), _) => match coverage {
+                        Some(coverage) => bytes.extend_from_slice(coverage),
+                        None => bytes.resize(columns, u8::MAX),
+                    },
+                    (Texels::Color(colors), _) => {
+                        let alpha = |col: usize| coverage.map_or(u8::MAX, |coverage| coverage[col]);
+                        let colors = colors[texels].iter().enumerate();
+                        bytes.extend(
+                            colors.flat_map(|(col, &[red, green, blue])| {
+                                [red, green, blue, alpha(col)]
+                            }),
+                        );
+                    }
                 }
-                (Texels::Height(texels), _) => match page.coverage() {
-                    Some(coverage) => self.staging.extend_from_slice(coverage),
-                    None => self.staging.resize(texels.len(), u8::MAX),
-                },
-                (Texels::Color(texels), _) => {
-                    let count = texels.len();
-                    let coverage = |i| page.coverage().map_or(u8::MAX, |coverage| coverage[i]);
-                    let colors = (0..count).flat_map(|i| {
-                        let [red, green, blue] = texels[i];
-                        [red, green, blue, coverage(i)]
-                    });
-                    self.staging.extend(colors);
-                }
-            }
-            gpu.queue.write_texture(
-                wgpu::TexelCopyTextureInfo {
-                    origin: wgpu::Origin3d { x: 0, y: 0, z: slot },
-                    ..texture.as_image_copy()
-                },
-                &self.staging,
-                wgpu::TexelCopyBufferLayout {
-                    offset: 0,
-                    bytes_per_row: Some(side * plane.bytes_per_texel),
-                    rows_per_image: Some(side),
-                },
-                wgpu::Extent3d { width: side, height: side, depth_or_array_layers: 1 },
-            );
+            });
         }
     }
 }

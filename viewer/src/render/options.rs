@@ -29,6 +29,8 @@ pub struct Options {
     pub background: [u8; 3],
     /// Bytes of pages that one frame may write to the GPU.
     pub upload_limit_bytes: u64,
+    /// How long one frame may write to the GPU: a page that has begun is written whole.
+    pub upload_limit_seconds: f64,
     /// Samples of color along a pixel's footprint at most, up to 16; where it is longer they are blurred.
     /// At 0 footprints are taken as round and as wide as the pixel, and alias.
     pub anisotropy: u32,
@@ -54,6 +56,7 @@ impl Default for Options {
             vertical_exaggeration: 1.0,
             background: [0; 3],
             upload_limit_bytes: u64::MAX,
+            upload_limit_seconds: f64::INFINITY,
             anisotropy: 8,
             style: Style::default(),
             atmosphere: None,
@@ -103,7 +106,12 @@ impl Options {
     /// As a window draws: an upload is no longer than a frame can bear, and what comes fades in.
     #[must_use]
     pub fn interactive() -> Self {
-        Self { upload_limit_bytes: 16 << 20, fade_seconds: 0.25, ..Self::default() }
+        Self {
+            upload_limit_bytes: 16 << 20,
+            upload_limit_seconds: 0.004,
+            fade_seconds: 0.25,
+            ..Self::default()
+        }
     }
 }
 

@@ -22,6 +22,7 @@ use super::resident::{Brought, Clock, Resident};
 use super::scene::scene_of;
 use super::targets::{Targets, read_buffer, read_texture};
 use super::usage::Usage;
+use crate::atlas::uploads::Allowance;
 use crate::atmosphere::Air;
 use crate::gpu::Gpu;
 use crate::mesh::detail::{Detail, SEGMENTS};
@@ -236,8 +237,8 @@ impl Renderer {
         let gpu = &self.gpu;
         let sizes = self.resident.sizes();
         let clock = Clock { seconds: options.seconds, fade_seconds: options.fade_seconds };
-        let limit_bytes = options.upload_limit_bytes;
-        let brought = self.resident.bring(gpu, selection, &options.style, clock, limit_bytes);
+        let allowance = Allowance::new(options.upload_limit_bytes, options.upload_limit_seconds);
+        let brought = self.resident.bring(gpu, selection, &options.style, clock, allowance);
         if sizes != self.resident.sizes() {
             self.atlas_group = None;
         }

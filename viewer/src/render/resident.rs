@@ -11,6 +11,7 @@ use super::linger::{self, Trace};
 use crate::atlas::slots::PageName;
 use crate::atlas::table::{self, PRESENT, Shown};
 use crate::atlas::texture::Atlas;
+use crate::atlas::uploads::{Allowance, Uploads};
 use crate::gpu::Gpu;
 use crate::map::Maps;
 use crate::mirror;
@@ -42,6 +43,7 @@ impl Clock {
 pub(crate) struct Resident {
     /// Of heights, colors and normals.
     atlases: [Atlas; 3],
+    uploads: Uploads,
     budget_bytes: u64,
     datasets: Option<Datasets>,
     style: Style,
@@ -69,7 +71,7 @@ pub(crate) struct Brought {
     pub(crate) uploaded: usize,
     /// Bytes of their texels in memory.
     pub(crate) uploaded_bytes: u64,
-    /// Pages put off to the next frame by the limit on uploads.
+    /// Pages put off to the next frame by the limits on uploads.
     pub(crate) put_off: usize,
     /// Pages without a slot: their ancestors stand in.
     pub(crate) left_out: usize,
@@ -82,6 +84,7 @@ impl Resident {
         let kinds = [Kind::Height, Kind::Color, Kind::Normal];
         Self {
             atlases: kinds.map(|kind| Atlas::new(gpu, kind, 8, budget_bytes)),
+            uploads: Uploads::new(gpu),
             budget_bytes,
             datasets: None,
             style: Style::default(),
@@ -107,14 +110,14 @@ impl Resident {
         [0, 1, 2].map(|i| (self.atlases[i].side(), self.atlases[i].layers()))
     }
 
-    /// Writes what is new of a selection, at most `limit_bytes` of it, and the table anew.
+    /// Writes what is new of a selection, as far as a frame may, and the table anew.
     pub(crate) fn bring(
         &mut self,
         gpu: &Gpu,
         selection: &Selection,
         style: &Style,
         clock: Clock,
-        limit_bytes: u64,
+        mut allowance: Allowance,
     ) -> Brought {
         self.follow_datasets(gpu, selection, style);
         for atlas in &mut self.atlases {
@@ -125,7 +128,6 @@ impl Resident {
         self.roots.resize_with(self.shown.len(), Vec::new);
 
         let mut brought = Brought::default();
-        let mut left_bytes = limit_bytes;
         // First what is there, so that no new page takes its place.
         let pages = || selection.beneath.iter().chain(&selection.pages);
         for page in selection.roots.iter().chain(pages()) {
@@ -137,14 +139,14 @@ impl Resident {
         let mut traces = Vec::with_capacity(selection.pages.len() + selection.beneath.len());
         for page in &selection.roots {
             // They show where there is no room for others, and are few.
-            let mut unlimited = u64::MAX;
+            let mut unlimited = Allowance::UNLIMITED;
             let trace = self.place(gpu, selection, page, &mut unlimited, &mut brought);
             if let Some((place, trace)) = trace {
                 self.roots[place].push(trace.shown);
             }
         }
         for page in pages() {
-            let trace = self.place(gpu, selection, page, &mut left_bytes, &mut brought);
+            let trace = self.place(gpu, selection, page, &mut allowance, &mut brought);
             let Some((place, mut trace)) = trace else { continue };
             trace.since = ages.get(&trace.name).copied().unwrap_or(clock.seconds);
             trace.shown.presence = clock.presence(trace.since);
@@ -164,6 +166,7 @@ impl Resident {
             self.shown[*place].as_mut().expect("it takes part").push(trace.shown);
         }
         self.before = traces.into_iter().map(|(_, trace)| trace).collect();
+        self.uploads.submit(gpu);
         self.write_table(selection);
         brought
     }
@@ -175,7 +178,7 @@ impl Resident {
         gpu: &Gpu,
         selection: &Selection,
         page: &ResidentPage,
-        left_bytes: &mut u64,
+        allowance: &mut Allowance,
         brought: &mut Brought,
     ) -> Option<(usize, Trace)> {
         let place = selection.datasets.place(page.dataset);
@@ -184,12 +187,14 @@ impl Resident {
         let (atlas, name) = (atlas_of(selection, page), name_of(page));
         let slot = if let Some(slot) = self.atlases[atlas].keep(name) {
             slot
-        } else if *left_bytes == 0 {
+        } else if !allowance.has_more() {
             brought.put_off += 1;
             return None;
-        } else if let Some(slot) = self.atlases[atlas].place(gpu, name, &page.page) {
+        } else if let Some(slot) =
+            self.atlases[atlas].place(gpu, &mut self.uploads, name, &page.page)
+        {
             let bytes = page.page.bytes() as u64;
-            *left_bytes = left_bytes.saturating_sub(bytes);
+            allowance.take(bytes);
             brought.uploaded += 1;
             brought.uploaded_bytes += bytes;
             slot

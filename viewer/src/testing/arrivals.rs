@@ -115,6 +115,28 @@ fn roots_stand_in_for_pages_that_are_put_off() {
     assert!(shown > 10_000, "{shown}");
 }
 
+/// A frame without time for more writes one page, and goes on with the next; the picture is the one of
+/// pages that came at once.
+#[test]
+fn a_frame_without_time_writes_a_page() {
+    let world = split_mars();
+    let selection = Selection { roots: Vec::new(), ..selected(world, 0.4, 1) };
+    let count = selection.pages.len();
+    let draw = |renderer: &mut Renderer, upload_limit_seconds: f64| {
+        let options = Options { upload_limit_seconds, ..Options::default() };
+        renderer.render(&view(1.0), &selection, &LIGHT, &options)
+    };
+    let mut renderer = Renderer::new(gpu(), world.body);
+    assert_eq!(draw(&mut renderer, 0.0).pending_pages, count);
+    for frame in 1..=count {
+        let drawn = draw(&mut renderer, 1e-9);
+        assert_eq!((drawn.uploaded_pages, drawn.pending_pages), (1, count - frame));
+    }
+    let mut at_once = Renderer::new(gpu(), world.body);
+    assert_eq!(draw(&mut at_once, f64::INFINITY).uploaded_pages, count);
+    assert!(renderer.read_color() == at_once.read_color());
+}
+
 /// Where lists would be too long for a device the mesh is coarser; whatever the limit, there are no more
 /// anchors than it allows.
 #[test]

@@ -5,7 +5,7 @@ use glam::DVec2;
 use winit::event::{ElementState, MouseButton, MouseScrollDelta, WindowEvent};
 use winit::keyboard::{Key, ModifiersState, NamedKey};
 
-use super::settings::{Arrangement, Lighting, Settings};
+use super::settings::{Lighting, Settings};
 use crate::orbit::Orbit;
 use crate::render::Debug;
 
@@ -120,11 +120,7 @@ pub(super) fn press(
             };
         }
         Key::Character("v" | "V") => {
-            settings.arrangement = match settings.arrangement {
-                Arrangement::Single => Arrangement::SideBySide,
-                Arrangement::SideBySide => Arrangement::Stereo,
-                Arrangement::Stereo => Arrangement::Single,
-            };
+            settings.arrangement = settings.arrangement.next();
         }
         Key::Character("b" | "B") => return Some(Order::AddBookmark),
         Key::Character("r" | "R") => return Some(Order::Record),

@@ -41,9 +41,10 @@ fn entries(settings: &Settings) -> Vec<Entry> {
             entries.push(entry([51, 77, 255], "a finer page is shown"));
         }
         Debug::Error => {
-            entries.push(entry([26, 153, 51], "exact"));
-            entries.push(entry([255, 230, 26], "half the tolerance, or all of it"));
-            entries.push(entry([255, 26, 13], "more than the tolerance"));
+            let texts = ["exact", "half the tolerance, or all of it", "more than the tolerance"];
+            entries.extend(
+                EXCESSES.into_iter().zip(texts).map(|((_, color), text)| entry(color, text)),
+            );
         }
     }
     entries
@@ -51,6 +52,10 @@ fn entries(settings: &Settings) -> Vec<Entry> {
 
 /// Levels that are told: colors of neighbors differ, those of levels far apart need not.
 const LEVELS: u32 = 12;
+
+/// Errors over the tolerance, and their colors: of `color_of_excess` in `debug.wgsl`.
+const EXCESSES: [(f32, [u8; 3]); 3] =
+    [(0.0, [26, 153, 51]), (1.0, [255, 230, 26]), (1.5, [255, 26, 13])];
 
 /// The twin of the shader's: `debug.wgsl`.
 fn color_of_number(number: u32) -> [f64; 3] {
@@ -66,8 +71,61 @@ fn code(light: f64) -> u8 {
 
 #[cfg(test)]
 mod tests {
+    use bytemuck::{Pod, Zeroable};
+
     use super::*;
+    use crate::mirror;
+    use crate::render::testing::compute;
+    use crate::shader::Program;
     use crate::style::{Ramp, Stop, Style};
+    use crate::testing::gpu;
+
+    /// A question to both functions of colors, and their answers.
+    #[repr(C)]
+    #[derive(Clone, Copy, Debug, Pod, Zeroable)]
+    struct Probe {
+        of_number: [f32; 3],
+        number: u32,
+        of_excess: [f32; 3],
+        excess: f32,
+    }
+
+    const PROBE: &str = "
+struct Probe { of_number: vec3f, number: u32, of_excess: vec3f, excess: f32 }
+@group(1) @binding(0) var<storage, read_write> probes: array<Probe>;
+@compute @workgroup_size(64)
+fn probe(@builtin(global_invocation_id) id: vec3u) {
+    let i = id.x;
+    if i >= arrayLength(&probes) { return; }
+    _ = dataset_list[0].levels + anchors[0].texel.x + i32(scene.debug);
+    probes[i].of_number = color_of_number(probes[i].number);
+    probes[i].of_excess = color_of_excess(probes[i].excess);
+}
+";
+
+    #[test]
+    fn a_legend_has_the_colors_of_the_shader() {
+        let mut probes: Vec<Probe> =
+            (0..100).map(|number| Probe { number, ..Probe::zeroed() }).collect();
+        // From half the tolerance on nothing changes up to all of it.
+        let excesses = EXCESSES.into_iter().chain([(0.5, EXCESSES[1].1)]);
+        for (probe, (excess, _)) in probes.iter_mut().zip(excesses.clone()) {
+            probe.excess = excess;
+        }
+        let source = Program::Shade.source() + PROBE;
+        let datasets = [mirror::Dataset::zeroed()];
+        let anchors = [mirror::Anchor::zeroed()];
+        let scene = mirror::Scene::zeroed();
+        let found = compute(gpu(), &source, &scene, &datasets, &anchors, &probes);
+        for probe in &found {
+            for (light, truth) in probe.of_number.into_iter().zip(color_of_number(probe.number)) {
+                assert!((f64::from(light) - truth).abs() < 1e-4, "{probe:?}, {truth}");
+            }
+        }
+        for (probe, (_, color)) in found.iter().zip(excesses) {
+            assert_eq!(probe.of_excess.map(|light| code(light.into())), color, "{probe:?}");
+        }
+    }
 
     fn settings(debug: Debug) -> Settings {
         let stop = |height_m, code| Stop { height_m, color: [code; 3] };

@@ -11,7 +11,7 @@
 //! | `A` | atmosphere |
 //! | `C` | colors by height |
 //! | `D` | levels, datasets, pages, what stands in |
-//! | `V` | one view, two places side by side, two eyes |
+//! | `V` | one view, two places side by side, two eyes, a wall of three screens |
 //! | `B`, `1` to `9` | puts a bookmark, goes to one |
 //! | `R` | begins and ends to record a flight |
 //! | `P` | saves a screenshot |
@@ -21,6 +21,7 @@
 //!
 //! It draws when the view, its pages or the panel change, and not otherwise.
 
+mod arrangement;
 mod hand;
 mod host;
 mod legend;

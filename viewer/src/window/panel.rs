@@ -6,9 +6,10 @@ use areoid_formats::page::Kind;
 use areoid_formats::units::Degrees;
 use egui::{Context, DragValue, Key, Slider, Ui};
 
+use super::arrangement::Arrangement;
 use super::host::{Insertion, InsertionState};
 use super::legend::legend;
-use super::settings::{Arrangement, Lighting, Settings};
+use super::settings::{Lighting, Settings};
 use crate::pick::Picked;
 use crate::render::{Debug, FrameStatistics};
 use crate::style::Role;
@@ -252,9 +253,9 @@ fn light(ui: &mut Ui, settings: &mut Settings) {
 
 fn views(ui: &mut Ui, settings: &mut Settings, figures: &Figures, wishes: &mut Vec<Wish>) {
     ui.horizontal(|ui| {
-        ui.selectable_value(&mut settings.arrangement, Arrangement::Single, "one");
-        ui.selectable_value(&mut settings.arrangement, Arrangement::SideBySide, "two places");
-        ui.selectable_value(&mut settings.arrangement, Arrangement::Stereo, "stereo");
+        for (arrangement, name) in Arrangement::ALL {
+            ui.selectable_value(&mut settings.arrangement, arrangement, name);
+        }
     });
     ui.horizontal(|ui| {
         if ui.button("Bookmark (B)").clicked() {

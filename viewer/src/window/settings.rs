@@ -5,6 +5,7 @@ use areoid_formats::geodesy::{Geographic, surface_normal};
 use areoid_formats::units::Degrees;
 use glam::DVec3;
 
+use super::arrangement::Arrangement;
 use crate::Atmosphere;
 use crate::render::{Debug, Light, Options, Relief};
 use crate::style::{Layer, Ramp, Stop, Style};
@@ -19,16 +20,6 @@ pub(super) enum Lighting {
     Sun,
     /// From the northwest everywhere.
     Relief,
-}
-
-/// How many views the window shows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Arrangement {
-    Single,
-    /// Two places of one planet.
-    SideBySide,
-    /// Two eyes on one place.
-    Stereo,
 }
 
 /// Everything that the panel changes.

@@ -18,7 +18,7 @@ use super::painter::Painter;
 use super::panel::{Figures, Panel, Wish};
 use super::presenter::Presenter;
 use super::record::key_of;
-use super::settings::{Arrangement, Settings};
+use super::settings::Settings;
 use super::{WindowError, WindowOptions};
 use crate::camera::pixel_angle;
 use crate::orbit::Orbit;
@@ -30,8 +30,6 @@ const POLL_REST: Duration = Duration::from_millis(250);
 const VERTICAL_FOV: Radians = Radians(std::f64::consts::FRAC_PI_4);
 /// Keys of a recorded flight stand so far apart.
 const RECORD_EVERY_SECONDS: f64 = 0.1;
-/// Eyes of a stereo pair stand this share of their distance from the ground apart.
-const STEREO_BASE: f64 = 0.03;
 
 /// The state of a running window.
 pub(super) struct Viewer<H> {
@@ -116,24 +114,10 @@ impl<H: Host> Viewer<H> {
 
     /// The views that stand side by side.
     fn views(&self, stage: &Stage) -> Vec<View> {
-        let [width, height] = stage.presenter.viewport();
-        let half = [(width / 2).max(1), height];
-        let tolerance_px = self.settings.tolerance_px;
-        let pose = |orbit: &Orbit| orbit.pose(|normal| stage.renderer.height_m(normal));
-        match self.settings.arrangement {
-            Arrangement::Single => {
-                vec![pose(&self.orbits[0]).view(VERTICAL_FOV, [width, height], tolerance_px)]
-            }
-            Arrangement::SideBySide => {
-                self.orbits.map(|orbit| pose(&orbit).view(VERTICAL_FOV, half, tolerance_px)).into()
-            }
-            Arrangement::Stereo => {
-                let pose = pose(&self.orbits[0]);
-                let apart = STEREO_BASE * self.orbits[0].range().0 * pose.orientation.x_axis;
-                let view = pose.view(VERTICAL_FOV, half, tolerance_px);
-                [-0.5, 0.5].map(|side| View { eye: view.eye + side * apart, ..view }).into()
-            }
-        }
+        let poses = self.orbits.map(|orbit| orbit.pose(|normal| stage.renderer.height_m(normal)));
+        let lens = (VERTICAL_FOV, self.settings.tolerance_px);
+        let (range, viewport) = (self.orbits[0].range(), stage.presenter.viewport());
+        self.settings.arrangement.views(poses, range, viewport, lens)
     }
 
     /// Asks for pages, and draws if anything is new.
@@ -186,7 +170,7 @@ impl<H: Host> Viewer<H> {
         let (mut left, mut unfinished) = (0, false);
         let mut saved = std::mem::take(&mut stage.saves_picture).then(Vec::new);
         for (place, view) in views.iter().enumerate() {
-            let orbit = &self.orbits[self.orbit_of(place)];
+            let orbit = &self.orbits[self.settings.arrangement.pose_of(place)];
             let [right, up] = [view.orientation.x_axis, view.orientation.y_axis];
             let light = self.settings.light(orbit.focus(), right, up);
             let drawn = stage.renderer.render(view, selection, &light, &options);
@@ -224,11 +208,6 @@ impl<H: Host> Viewer<H> {
         }
     }
 
-    /// The orbit of the view at a place from the left.
-    fn orbit_of(&self, place: usize) -> usize {
-        if self.settings.arrangement == Arrangement::SideBySide { place } else { 0 }
-    }
-
     fn tell(&mut self, stage: &Stage, views: &[View], selection: &Selection) {
         let figures = &mut self.figures;
         (figures.missing, figures.wanted) = (selection.missing, selection.wanted);
@@ -261,7 +240,8 @@ impl<H: Host> Viewer<H> {
         let Some((began, keys)) = &mut self.recording else { return };
         let seconds = began.elapsed().as_secs_f64();
         if keys.last().is_none_or(|last| seconds >= last.seconds + RECORD_EVERY_SECONDS) {
-            let pose = crate::camera::Pose { eye: views[0].eye, orientation: views[0].orientation };
+            let View { eye, orientation, .. } = views[self.settings.arrangement.middle()];
+            let pose = crate::camera::Pose { eye, orientation };
             keys.push(key_of(&pose, &self.options.ellipsoid, seconds));
         }
     }
@@ -364,8 +344,7 @@ impl<H: Host> ApplicationHandler for Viewer<H> {
             event => {
                 if let WindowEvent::CursorMoved { position, .. } = event {
                     let is_right = 2.0 * position.x > f64::from(stage.presenter.viewport()[0]);
-                    let is_beside = self.settings.arrangement == Arrangement::SideBySide;
-                    self.active = usize::from(is_right && is_beside);
+                    self.active = self.settings.arrangement.pose_of(usize::from(is_right));
                     // The panel tells what is under the cursor.
                     stage.unfinished |= self.is_panel_shown;
                 }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use areoid_cache::flight::Flight;
-use areoid_cache::{Cache, Options, View};
+use areoid_cache::{Cache, Options};
 use serde_json::json;
 
 use self::policy::{
@@ -19,7 +19,7 @@ use super::Setting;
 use super::budget::globe;
 use super::flights::{flights, leaps, returns};
 use super::planet::{Planet, body};
-use super::replay::views;
+use super::replay::LARGE;
 use crate::bench::report::{Chapter, Relation, Table, Target};
 use crate::failure::Failure;
 
@@ -27,10 +27,6 @@ const BUDGETS_MIB: [usize; 2] = [64, 256];
 
 /// Flights with leaps and returns, over the others.
 const LONGER: f64 = 6.0;
-
-/// A large screen, on which errors are small: views that need as much as they may.
-const SCREEN: [u32; 2] = [3840, 2160];
-const TOLERANCE_PX: f64 = 0.25;
 
 /// Frames are far enough apart for a page to come.
 const STEP: usize = 6;
@@ -114,8 +110,7 @@ fn record(planet: &Arc<Planet>, flight: &Flight, budget_bytes: usize) -> Result<
         .map_err(|error| Failure::Failed(error.into()))?;
     let mut session = cache.session();
     session.look_ahead = false;
-    let needs = views(flight).step_by(STEP).map(|view| {
-        let view = View { viewport: SCREEN, tolerance_px: TOLERANCE_PX, ..view };
+    let needs = LARGE.views(flight).step_by(STEP).map(|view| {
         let selection = session.settle(&view);
         let pages = selection.pages.iter().map(|page| Need {
             name: (page.dataset, page.entry.page),
