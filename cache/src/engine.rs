@@ -30,8 +30,9 @@ impl Engine {
     pub(crate) fn new(scene: Scene, budget_bytes: usize, limits: Limits) -> io::Result<Self> {
         let runtime = Builder::new_multi_thread()
             .worker_threads(1)
-            // One more looks at the catalog, one looks a server's name up, and one tells media what comes.
-            .max_blocking_threads(limits.loads + 3)
+            // One more looks at the catalog, one looks a server's name up, one looks ahead, and one tells
+            // media what comes.
+            .max_blocking_threads(limits.loads + 4)
             .enable_all()
             .thread_name("areoid-cache")
             .build()?;

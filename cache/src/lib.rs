@@ -39,13 +39,15 @@ mod search;
 
 mod store;
 
+mod matching;
+
+mod lookout;
+
 mod loader;
 
 mod engine;
 
 mod motion;
-
-mod matching;
 
 mod session;
 

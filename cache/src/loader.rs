@@ -18,6 +18,7 @@ use tokio::sync::{Notify, watch};
 use tokio::time::{Instant, sleep};
 use tracing::{debug, trace};
 
+use crate::lookout::{Look, Lookouts};
 use crate::scene::Scene;
 use crate::selection::ResidentPage;
 use crate::stats::Stats;
@@ -31,6 +32,7 @@ pub(crate) struct Shared {
     scene: Mutex<Arc<Scene>>,
     /// Scenes of before: whoever draws must not be the last to let go of one.
     retired: Mutex<Vec<Arc<Scene>>>,
+    lookouts: Mutex<Lookouts>,
     wake: Notify,
     /// Counts everything that may change a selection.
     news: watch::Sender<u64>,
@@ -43,6 +45,7 @@ impl Shared {
             store: Mutex::new(Store::new(budget_bytes, limits)),
             scene: Mutex::new(Arc::new(scene)),
             retired: Mutex::default(),
+            lookouts: Mutex::default(),
             wake: Notify::new(),
             news: watch::Sender::new(0),
             sessions: AtomicUsize::new(0),
@@ -62,6 +65,15 @@ impl Shared {
             Err(std::sync::TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
             Err(std::sync::TryLockError::WouldBlock) => None,
         }
+    }
+
+    /// What sessions look ahead for, unless somebody else is at it.
+    pub(crate) fn try_lookouts(&self) -> Option<MutexGuard<'_, Lookouts>> {
+        self.lookouts.try_lock().ok()
+    }
+
+    pub(crate) fn lookouts(&self) -> MutexGuard<'_, Lookouts> {
+        self.lookouts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     pub(crate) fn scene(&self) -> Arc<Scene> {
@@ -121,12 +133,16 @@ impl Shared {
         }
     }
 
-    /// Starts as many loads as may run, and tells media what may come. For whoever can wait for threads to be started.
+    /// Starts as many loads as may run, looks ahead, and tells media what may come. For whoever can wait for threads to be started.
     pub(crate) fn start(self: &Arc<Self>, runtime: &Handle) {
         while let Some(request) = self.next() {
             let shared = Arc::clone(self);
             let load = Load { shared, work: request.work, ended: false };
             runtime.spawn_blocking(move || load.run(&request));
+        }
+        while let Some(look) = self.next_look() {
+            let shared = Arc::clone(self);
+            runtime.spawn_blocking(move || shared.look(look));
         }
         let advice = self.store().take_advice();
         if !advice.is_empty() {
@@ -134,6 +150,17 @@ impl Shared {
                 advice.iter().for_each(|request| request.dataset.pages.advise(&request.entry));
             });
         }
+    }
+
+    fn next_look(&self) -> Option<Look> {
+        self.lookouts().next()
+    }
+
+    fn look(&self, mut look: Look) {
+        look.search();
+        look.ask(&mut self.store());
+        self.lookouts().done(look);
+        self.wake();
     }
 
     /// The next load to start; if there is none for want of memory, sessions are told.

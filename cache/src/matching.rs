@@ -189,7 +189,10 @@ impl Matcher {
             }
         }
         for &place in &found.unindexed {
-            self.needs.push((place, Work::Children(found.seen[place].name(scene))));
+            let work = Work::Children(found.seen[place].name(scene));
+            if store.error(work).is_none() {
+                self.needs.push((place, work));
+            }
         }
         self.end(scene, found, requests);
     }

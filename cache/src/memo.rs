@@ -22,7 +22,8 @@ pub(crate) enum Verdict {
 pub(crate) struct Memo {
     children: FxHashMap<(usize, PageAddress), Family>,
     clock: u64,
-    used: usize,
+    /// It is gone through when there are more.
+    most: usize,
 }
 
 #[derive(Debug)]
@@ -33,18 +34,19 @@ struct Family {
 }
 
 impl Memo {
-    /// More than so many families, and twice what the last search used, are not kept.
+    /// Up to so many families are kept, whenever they were used.
     const MOST_FAMILIES: usize = 4096;
+
+    /// Families that so many searches have not used may go.
+    const RECENT: u64 = 16;
 
     /// A search begins.
     pub(crate) fn begin(&mut self) {
         self.clock += 1;
-        self.used = 0;
     }
 
     /// Children of a page that have data, or `None` if the index has to be read first.
     pub(crate) fn children(&mut self, dataset: &Dataset, page: PageAddress) -> Option<&[Node]> {
-        self.used += 1;
         let (stamp, terrain) = (self.clock, dataset.terrain());
         match self.children.entry((dataset.number, page)) {
             Entry::Occupied(entry) => {
@@ -106,9 +108,11 @@ impl Memo {
 
     /// A search has ended.
     pub(crate) fn end(&mut self) {
-        if self.children.len() > Self::MOST_FAMILIES.max(2 * self.used) {
+        if self.children.len() > self.most.max(Self::MOST_FAMILIES) {
             let clock = self.clock;
-            self.children.retain(|_, family| family.stamp == clock);
+            self.children.retain(|_, family| family.stamp + Self::RECENT > clock);
+            // What is in use is not gone through after each search.
+            self.most = 2 * self.children.len();
         }
     }
 }

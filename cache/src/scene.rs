@@ -192,6 +192,16 @@ impl Scene {
         (self.heights == other.heights).then(|| lacks(self, other).chain(lacks(other, self)))
     }
 
+    /// The places of the datasets that another scene has not, or `None` if those that both have may lie
+    /// elsewhere.
+    pub(crate) fn newcomers(&self, before: &Self) -> Option<Vec<usize>> {
+        // Numbers ascend, and those that are given later are greater.
+        let is_new = |number: usize| before.place(number).is_none();
+        let places = 0..self.numbers.len();
+        (self.heights == before.heights)
+            .then(|| places.filter(|&place| is_new(self.numbers[place])).collect())
+    }
+
     /// What there is to say of all datasets.
     pub(crate) fn infos(&self) -> Datasets {
         self.datasets.iter().map(|dataset| (dataset.number, Arc::clone(&dataset.info))).collect()
@@ -239,7 +249,7 @@ impl Dataset {
         self.info.kind != Kind::Height
     }
 
-    fn bounds(&self) -> Aabb {
+    pub(crate) fn bounds(&self) -> Aabb {
         self.roots.iter().fold(Aabb::EMPTY, |whole, root| whole.union(&root.volume.aabb()))
     }
 

@@ -22,7 +22,9 @@
 //! * White 2011, chapter 4: the search over a BVH of datasets with a quadtree each.
 
 use std::fmt;
+use std::sync::Arc;
 
+use areoid_formats::bounds::Aabb;
 use areoid_formats::bvh::{Branch, Parts};
 use areoid_formats::page::Kind;
 use areoid_formats::volume::Volume;
@@ -37,8 +39,8 @@ use crate::view::{Lens, Sight, View};
 type Hides = dyn Fn(&DatasetInfo) -> bool + Send + Sync;
 
 /// Which datasets a session does not want to see; none by default.
-#[derive(Default)]
-pub(crate) struct Hidden(pub(crate) Option<Box<Hides>>);
+#[derive(Clone, Default)]
+pub(crate) struct Hidden(pub(crate) Option<Arc<Hides>>);
 
 impl Hidden {
     fn hides(&self, info: &DatasetInfo) -> bool {
@@ -62,11 +64,21 @@ pub(crate) struct Wish<'a> {
     pub(crate) allowance: usize,
     /// Whether pages are found that show beneath others.
     pub(crate) blends: bool,
+    /// The datasets that are searched, if not all.
+    pub(crate) only: Option<Only<'a>>,
+}
+
+/// Some datasets of a scene, to be seen as sharply as the others are.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Only<'a> {
+    /// Their places in the scene.
+    pub(crate) places: &'a [usize],
+    pub(crate) tolerance_px: f64,
 }
 
 /// The pages that some views need of what is not hidden, with their ancestors within an allowance.
 pub(crate) fn search(scene: &Scene, memo: &mut Memo, wish: Wish<'_>, found: &mut Found) {
-    let Wish { views, hidden, allowance, blends } = wish;
+    let Wish { views, hidden, allowance, blends, only } = wish;
     memo.begin();
     found.clear();
     let Some(first) = views.first() else {
@@ -78,7 +90,14 @@ pub(crate) fn search(scene: &Scene, memo: &mut Memo, wish: Wish<'_>, found: &mut
     let mut lenses = std::mem::take(&mut found.lenses);
     let search = Search { scene, views, lenses: &lenses, blends };
 
-    if let Some(trunk) = scene.tree.trunk() {
+    if let Some(Only { places, tolerance_px }) = only {
+        found.tolerance_px = found.tolerance_px.max(tolerance_px);
+        for &place in places {
+            let dataset = &scene.datasets[place];
+            let pixels = search.largest(&dataset.bounds(), dataset.extent_m());
+            search.put_off(pixels, dataset.slot as usize, Step::Open, found);
+        }
+    } else if let Some(trunk) = scene.tree.trunk() {
         search.climb(trunk, found);
     }
     let mut bytes = 0;
@@ -144,14 +163,23 @@ impl Search<'_> {
     fn climb(&self, branch: usize, found: &mut Found) {
         found.visited += 1;
         let Branch { bounds, largest_m, parts } = self.scene.tree.branch(branch);
-        let sights = self.lenses.iter().map(|lens| {
-            if lens.misses_box(&bounds) { Sight::NONE } else { lens.sight_of_box(&bounds) }
-        });
-        let pixels = self.worst(largest_m, sights);
         let (place, step) = match parts {
             Parts::Branches(_) => (branch, Step::Climb),
             Parts::Item(slot) => (slot as usize, Step::Open),
         };
+        self.put_off(self.largest(&bounds, largest_m), place, step, found);
+    }
+
+    /// How large a dataset can be on the screen that lies in a box, in pixels.
+    fn largest(&self, bounds: &Aabb, extent_m: f64) -> f64 {
+        let sights = self.lenses.iter().map(|lens| {
+            if lens.misses_box(bounds) { Sight::NONE } else { lens.sight_of_box(bounds) }
+        });
+        self.worst(extent_m, sights)
+    }
+
+    /// Puts datasets among what is to come, unless they are too small to be seen.
+    fn put_off(&self, pixels: f64, place: usize, step: Step, found: &mut Found) {
         if pixels >= Lens::SMALLEST_PX {
             found.heap.push(Candidate { pixels, place, step });
         }

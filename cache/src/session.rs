@@ -10,13 +10,14 @@ use tokio::time::Instant;
 
 use crate::engine::{ADOPT_WITHIN, Engine};
 use crate::found::Found;
+use crate::lookout::Task;
 use crate::matching::{Match, Matcher};
 use crate::memo::Memo;
 use crate::motion::Motion;
 use crate::scene::Scene;
-use crate::search::{Hidden, Wish, search};
+use crate::search::{Hidden, Only, Wish, search};
 use crate::selection::{DatasetInfo, Datasets, ResidentPage, Selection};
-use crate::store::{PageName, Store};
+use crate::store::{PageName, Request, Store};
 use crate::view::{Lens, View};
 
 /// A rendering context's way into the cache.
@@ -36,15 +37,15 @@ pub struct Session {
     engine: Arc<Engine>,
     number: u64,
     shown: Showing,
-    /// What is to be shown next, since it is known of.
-    next: Option<(Instant, Showing)>,
+    next: Option<Coming>,
+    /// Whether the last search was of what is to be shown next.
+    is_trial: bool,
     memo: Memo,
     matcher: Matcher,
     views: Vec<View>,
     motion: Motion,
-    /// When it was last looked ahead, and what was found.
-    ahead: (Option<Instant>, Found),
-    /// How often it was.
+    /// When it was last looked ahead, and how often it was.
+    looked: Option<Instant>,
     looks: u32,
     hidden: Hidden,
     /// Whether pages are loaded that are only expected to be needed; so at first.
@@ -65,6 +66,21 @@ pub struct Session {
 struct Showing {
     scene: Arc<Scene>,
     found: Found,
+}
+
+/// A state of the datasets that is to be shown when what is new in it is there.
+#[derive(Debug)]
+struct Coming {
+    /// When it was heard of, or of one that has not been shown either.
+    since: Instant,
+    /// What is found is of the newcomers alone, but in a trial.
+    showing: Showing,
+    /// Places of datasets that the state shown has not; `None` if others may lie elsewhere.
+    newcomers: Option<Vec<usize>>,
+    /// What it lacked in the last trial.
+    lacks: Vec<Request>,
+    /// Whether a trial may find that it lacks nothing.
+    is_ready: bool,
 }
 
 impl Session {
@@ -110,11 +126,12 @@ impl Session {
             number,
             shown: Showing { scene, found: Found::default() },
             next: None,
+            is_trial: false,
             memo: Memo::default(),
             matcher: Matcher::default(),
             views: Vec::new(),
             motion: Motion::default(),
-            ahead: (None, Found::default()),
+            looked: None,
             looks: 0,
             hidden: Hidden::default(),
             look_ahead: true,
@@ -130,7 +147,7 @@ impl Session {
     /// From the next update on, nothing is loaded or shown of the datasets that `hides` names: those
     /// that a user has switched off. It is asked about datasets in sight, in each search.
     pub fn hide(&mut self, hides: impl Fn(&DatasetInfo) -> bool + Send + Sync + 'static) {
-        self.hidden = Hidden(Some(Box::new(hides)));
+        self.hidden = Hidden(Some(Arc::new(hides)));
         self.views.clear();
     }
 
@@ -197,6 +214,9 @@ impl Session {
             };
             engine.shared().wake();
             asked = true;
+            if self.next.as_ref().is_some_and(|next| next.is_ready) {
+                continue;
+            }
             let is_met = self.last.missing == 0 && self.next.is_none();
             if is_met || stalled || self.news.changed().await.is_err() {
                 return Arc::clone(&self.last);
@@ -222,14 +242,40 @@ impl Session {
             self.expect(scene, views, now);
         }
         let (hidden, allowance, blends) = (&self.hidden, self.allowance(), self.blends);
-        let wish = Wish { views, hidden, allowance, blends };
+        let all = Wish { views, hidden, allowance, blends, only: None };
+        let is_first = self.is_first();
+        self.is_trial = self.next.as_ref().is_some_and(|next| {
+            let is_late = now >= next.since + Self::ADOPT_WITHIN;
+            next.is_ready || is_late || is_first
+        });
         let mut visited = 0;
-        let next = self.next.as_mut().map(|(_, next)| next);
-        for Showing { scene, found } in next.into_iter().chain([&mut self.shown]) {
-            search(scene, &mut self.memo, wish, found);
-            visited += found.visited;
+        match &mut self.next {
+            Some(Coming { showing: Showing { scene, found }, .. }) if self.is_trial => {
+                search(scene, &mut self.memo, all, found);
+                visited += found.visited;
+            }
+            next => {
+                let Showing { scene, found } = &mut self.shown;
+                search(scene, &mut self.memo, all, found);
+                visited += found.visited;
+                if let Some(Coming { showing, newcomers: Some(places), .. }) = next {
+                    let only = Some(Only { places, tolerance_px: found.tolerance_px });
+                    search(
+                        &showing.scene,
+                        &mut self.memo,
+                        Wish { only, ..all },
+                        &mut showing.found,
+                    );
+                    visited += showing.found.visited;
+                }
+            }
         }
         self.engine.visited.fetch_add(visited as u64, Relaxed);
+    }
+
+    /// Whether nothing was ever shown.
+    fn is_first(&self) -> bool {
+        self.last.pages.is_empty() && self.last.generation == 0
     }
 
     fn allowance(&self) -> usize {
@@ -239,7 +285,7 @@ impl Session {
 
     /// Notes that `scene` is the one to be shown; at once, if what has changed is out of sight.
     fn expect(&mut self, scene: Arc<Scene>, views: &[View], now: Instant) {
-        let known = self.next.as_ref().map_or(&self.shown, |(_, next)| next);
+        let known = self.next.as_ref().map_or(&self.shown, |next| &next.showing);
         if Arc::ptr_eq(&scene, &known.scene) {
             return;
         }
@@ -253,31 +299,39 @@ impl Session {
         }
         // The clock runs from the first change that is not shown yet.
         let (since, found) = match self.next.take() {
-            Some((since, next)) => (since, next.found),
+            Some(next) => (next.since, next.showing.found),
             None => (now, Found::default()),
         };
-        self.next = Some((since, Showing { scene, found }));
+        let newcomers = scene.newcomers(&self.shown.scene);
+        // Where others have moved, only a trial can tell.
+        let is_ready = newcomers.as_ref().is_none_or(Vec::is_empty);
+        let showing = Showing { scene, found };
+        self.next = Some(Coming { since, showing, newcomers, lacks: Vec::new(), is_ready });
     }
 
     /// Turns what was found into a selection and into requests.
     fn select(&mut self, store: &mut Store, now: Instant) {
         let mut requests = Vec::new();
-        let Showing { scene, found } = &self.shown;
-        let mut matched = self.matcher.compare(scene, found, store, &mut requests);
-        if let Some((since, next)) = &self.next {
-            let mut others = Vec::new();
-            let after = self.matcher.compare(&next.scene, &next.found, store, &mut others);
-            let is_nothing_shown = self.last.pages.is_empty() && self.last.generation == 0;
-            let is_late = now >= *since + Self::ADOPT_WITHIN;
-            // Where it lacks no more than the picture does now, nothing can flash up.
-            if after.missing <= matched.missing || is_nothing_shown || is_late {
-                self.adopt();
-                (matched, requests) = (after, others);
-            } else {
-                // What the picture lacks comes before what the next one will.
+        let matched = if self.is_trial {
+            let Some(after) = self.try_next(store, &mut requests, now) else {
+                // What it lacks comes after what the picture lacks. The picture stays for a frame.
+                store.append_requests(self.number, requests);
+                return;
+            };
+            after
+        } else {
+            let Showing { scene, found } = &self.shown;
+            let matched = self.matcher.compare(scene, found, store, &mut requests);
+            if let Some(Coming { showing, lacks, is_ready, .. }) = &mut self.next {
+                let mut others = Vec::new();
+                self.matcher.expect(&showing.scene, &showing.found, store, &mut others);
+                lacks.retain(|request| !store.is_settled(request));
+                *is_ready = others.is_empty() && lacks.is_empty();
                 requests.append(&mut others);
+                requests.extend(lacks.iter().cloned());
             }
-        }
+            matched
+        };
         let Showing { found, .. } = &self.shown;
         let Match { pages, roots: mut pinned, beneath, missing, failed, mut error_px, .. } =
             matched;
@@ -289,7 +343,7 @@ impl Session {
         store.replace_requests(self.number, requests);
         self.count_first(store);
         if missing == 0 && self.next.is_none() && self.look_ahead {
-            self.prefetch(store, now);
+            self.look_ahead(store, now);
         }
 
         let Showing { scene, found } = &self.shown;
@@ -334,11 +388,28 @@ impl Session {
         });
     }
 
-    fn adopt(&mut self) {
-        if let Some((_, next)) = self.next.take() {
-            self.shown = next;
+    /// What there is of the state to be shown next, which is shown from now on; or `None` if it lacks more
+    /// than the picture does, so that something would flash up, and there is time left.
+    fn try_next(
+        &mut self,
+        store: &mut Store,
+        requests: &mut Vec<Request>,
+        now: Instant,
+    ) -> Option<Match> {
+        let is_first = self.is_first();
+        let mut next = self.next.take()?;
+        let Showing { scene, found } = &next.showing;
+        let after = self.matcher.compare(scene, found, store, requests);
+        let is_late = now >= next.since + Self::ADOPT_WITHIN;
+        if after.missing <= self.last.missing || is_first || is_late {
+            self.shown = next.showing;
             self.memo.keep(|number| self.shown.scene.place(number).is_some());
+            return Some(after);
         }
+        next.lacks.clone_from(requests);
+        next.is_ready = false;
+        self.next = Some(next);
+        None
     }
 
     /// Counts what is wanted now and was not before.
@@ -356,30 +427,27 @@ impl Session {
         self.wanted.swap(0, 1);
     }
 
-    /// Asks for what the views will need in a moment, or tells media of what they may need after that.
-    fn prefetch(&mut self, store: &mut Store, now: Instant) {
-        let allowance = self.allowance();
-        let (last, found) = &mut self.ahead;
-        if last.is_some_and(|last| now < last + Self::LOOK_EVERY) {
+    /// Has it looked where the view will be in a moment, for what it will need there; or, more rarely, where
+    /// it will be after that, for what media are to be told of.
+    fn look_ahead(&mut self, store: &mut Store, now: Instant) {
+        if self.looked.is_some_and(|last| now < last + Self::LOOK_EVERY) {
             return;
         }
-        *last = Some(now);
+        self.looked = Some(now);
         self.looks = self.looks.wrapping_add(1);
         let is_far = self.looks.is_multiple_of(Self::FAR_OF);
         let reach = if is_far { Self::LOOK_FAR_AHEAD } else { Self::LOOK_AHEAD };
-        let mut needs = Vec::new();
-        if let (Some(view), 1) =
-            (self.motion.predict(reach, self.shown.scene.radii()[0].0), self.views.len())
-        {
-            let (hidden, blends) = (&self.hidden, self.blends);
-            let wish = Wish { views: &[view], hidden, allowance, blends };
-            search(&self.shown.scene, &mut self.memo, wish, found);
-            self.matcher.expect(&self.shown.scene, found, store, &mut needs);
-        }
-        if is_far {
-            store.advise(needs);
+        let scene = &self.shown.scene;
+        let expected = self.motion.predict(reach, scene.radii()[0].0);
+        if let (Some(view), 1) = (expected, self.views.len()) {
+            if let Some(mut lookouts) = self.engine.shared().try_lookouts() {
+                let (scene, hidden) = (Arc::clone(scene), self.hidden.clone());
+                let (allowance, blends) = (self.allowance(), self.blends);
+                let task = Task { scene, view, hidden, allowance, blends, is_far };
+                lookouts.post(self.number, task);
+            }
         } else {
-            store.replace_ahead(self.number, needs);
+            store.replace_ahead(self.number, Vec::new());
         }
     }
 }
@@ -389,6 +457,7 @@ impl Drop for Session {
         let shared = self.engine.shared();
         shared.sessions.fetch_sub(1, Relaxed);
         shared.store().remove_session(self.number);
+        shared.lookouts().remove(self.number);
         // What it held may make room for others.
         shared.wake();
     }

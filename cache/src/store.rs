@@ -192,6 +192,18 @@ impl Store {
         (Instant::now() < failure.again).then_some(&failure.error)
     }
 
+    /// Whether nothing more will come of a request: it is there, or cannot be had.
+    pub(crate) fn is_settled(&self, request: &Request) -> bool {
+        let is_there = match request.work {
+            Work::Texels(name) => self.holds(name),
+            Work::Children(name) => {
+                let mut children = request.dataset.info.grid.pyramid().children(name.page);
+                children.all(|child| request.dataset.pages.find_resident(child).is_some())
+            }
+        };
+        is_there || self.error(request.work).is_some()
+    }
+
     /// Whether something that failed may be tried again since a moment between two.
     pub(crate) fn has_attempt(&self, after: Instant, until: Instant) -> bool {
         self.failed.values().any(|failure| failure.again > after && failure.again <= until)
@@ -206,9 +218,16 @@ impl Store {
         self.stalled = false;
     }
 
-    /// Replaces what a session expects to ask for.
-    pub(crate) fn replace_ahead(&mut self, session: u64, requests: Vec<Request>) {
+    /// Asks for more, behind what a session asks for.
+    pub(crate) fn append_requests(&mut self, session: u64, requests: Vec<Request>) {
         let queue = self.queues.entry(session).or_default();
+        queue.wanted.extend(requests.iter().map(|request| request.work));
+        queue.requests.extend(requests);
+    }
+
+    /// Replaces what a session expects to ask for; one that is gone expects nothing.
+    pub(crate) fn replace_ahead(&mut self, session: u64, requests: Vec<Request>) {
+        let Some(queue) = self.queues.get_mut(&session) else { return };
         queue.wanted_ahead.clear();
         queue.wanted_ahead.extend(requests.iter().map(|request| request.work));
         queue.ahead = requests.into();

@@ -29,7 +29,7 @@ fn scene(datasets: &[&Gated]) -> Scene {
 fn search(scene: &Scene, memo: &mut Memo, view: &View, allowance: usize) -> Found {
     let mut found = Found::default();
     let (hidden, views) = (&Hidden::default(), std::slice::from_ref(view));
-    let wish = Wish { views, hidden, allowance, blends: true };
+    let wish = Wish { views, hidden, allowance, blends: true, only: None };
     crate::search::search(scene, memo, wish, &mut found);
     found
 }

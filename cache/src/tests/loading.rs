@@ -4,6 +4,7 @@ use std::collections::HashSet;
 use std::sync::Barrier;
 
 use super::*;
+use crate::store::PageName;
 
 /// Wanted pages of a settled selection and all of their ancestors.
 fn with_ancestors(selection: &Selection) -> HashSet<PageAddress> {

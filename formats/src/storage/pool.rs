@@ -208,7 +208,8 @@ mod tests {
     fn a_file_that_was_cut_is_an_error() {
         let folder = tempfile::tempdir().unwrap();
         let [one, other] = ["one", "other"].map(|name| folder.path().join(name));
-        [&one, &other].map(|path| fs::write(path, [7; 10]).unwrap());
+        fs::write(&one, [7; 10]).unwrap();
+        fs::write(&other, [7; 10]).unwrap();
         let pool = Descriptors::new(1);
         let (file, _other) = (pool.open(&one).unwrap(), pool.open(&other).unwrap());
         fs::write(&one, [7; 5]).unwrap();

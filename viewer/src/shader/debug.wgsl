@@ -23,7 +23,8 @@ fn color_of_excess(excess: f32) -> vec3f {
 // Colors that neighboring numbers do not share.
 fn color_of_number(number: u32) -> vec3f {
     let hue = fract(f32(number) * 0.61803399) * 6.0;
-    return clamp(abs(vec3f(hue - 3.0, 2.0 - abs(hue - 2.0), 2.0 - abs(hue - 4.0))) - vec3f(1.0, 0.0, 0.0), vec3f(0.0), vec3f(1.0));
+    let light = vec3f(abs(hue - 3.0) - 1.0, 2.0 - abs(hue - 2.0), 2.0 - abs(hue - 4.0));
+    return clamp(light, vec3f(0.0), vec3f(1.0));
 }
 
 fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> vec3f {
