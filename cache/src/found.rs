@@ -1,6 +1,5 @@
 //! What a search has found so far, and what it looks at next.
 
-use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
 use crate::scene::Node;
@@ -49,12 +48,11 @@ pub(crate) struct Found {
 
 /// What is next: a page to give way to its children, a root to be drawn at all, or datasets to be
 /// looked at.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Candidate {
-    pub(crate) pixels: f64,
-    pub(crate) place: usize,
-    pub(crate) step: Step,
-}
+///
+/// The next is the one with the largest error; of equals, the later step, and of its kind the one found
+/// first. All of that is one number, from the most significant bits down: heaps compare a lot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Candidate(u128);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Step {
@@ -81,24 +79,55 @@ impl Found {
     }
 }
 
-/// The next is the one with the largest error; of equals, the one found first.
-impl Ord for Candidate {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let pixels = self.pixels.total_cmp(&other.pixels);
-        pixels.then(self.step.cmp(&other.step)).then(other.place.cmp(&self.place))
+impl Candidate {
+    /// Of an error in pixels that is not negative. One that is no number is none.
+    pub(crate) fn new(pixels: f64, place: usize, step: Step) -> Self {
+        // Of numbers that are not negative, the bits are ordered as they are.
+        let error = u128::from(pixels.max(0.0).to_bits() & !(1 << 63));
+        Self(error << 64 | (step as u128) << 62 | (Self::LAST - place as u128))
+    }
+
+    const LAST: u128 = (1 << 62) - 1;
+
+    pub(crate) fn pixels(self) -> f64 {
+        f64::from_bits((self.0 >> 64) as u64)
+    }
+
+    pub(crate) fn place(self) -> usize {
+        (Self::LAST - (self.0 & Self::LAST)) as usize
+    }
+
+    pub(crate) fn step(self) -> Step {
+        match self.0 >> 62 & 3 {
+            0 => Step::Refine,
+            1 => Step::Draw,
+            2 => Step::Open,
+            _ => Step::Climb,
+        }
     }
 }
 
-impl PartialOrd for Candidate {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn candidates_are_what_they_were_made_of_and_in_order() {
+        let steps = [Step::Refine, Step::Draw, Step::Open, Step::Climb];
+        let errors = [0.0, f64::MIN_POSITIVE, 0.5, 1.0, 1e9, f64::MAX, f64::INFINITY];
+        let mut last = None;
+        for pixels in errors {
+            for step in steps {
+                for place in [usize::MAX >> 2, 7, 1, 0] {
+                    let candidate = Candidate::new(pixels, place, step);
+                    let found = (candidate.pixels(), candidate.place(), candidate.step());
+                    assert_eq!(found, (pixels, place, step));
+                    assert!(last < Some(candidate), "{found:?}");
+                    last = Some(candidate);
+                }
+            }
+        }
+        assert!(Candidate::new(f64::NAN, 0, Step::Refine).pixels() == 0.0);
+        assert_eq!(Candidate::new(-0.0, 3, Step::Draw), Candidate::new(0.0, 3, Step::Draw));
     }
 }
-
-impl PartialEq for Candidate {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-
-impl Eq for Candidate {}

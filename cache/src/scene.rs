@@ -12,6 +12,7 @@ use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
 use areoid_formats::units::Meters;
 use areoid_formats::volume::Volume;
+use smallvec::SmallVec;
 
 use crate::pages::PageSource;
 use crate::selection::{DatasetInfo, Datasets};
@@ -47,7 +48,13 @@ pub(crate) struct Dataset {
     pub(crate) slot: u32,
     pub(crate) info: Arc<DatasetInfo>,
     pub(crate) pages: Arc<dyn PageSource>,
-    pub(crate) roots: Vec<Node>,
+    /// What its texels are, what its finest level is, and how many texels a page has, its border included:
+    /// as `info` says, and nearer by.
+    pub(crate) kind: Kind,
+    pub(crate) finest: Level,
+    texels: usize,
+    /// Mostly one, which a search finds beside all this.
+    pub(crate) roots: SmallVec<[Node; 1]>,
     /// The terrain that colors lie on.
     heights: [f64; 2],
 }
@@ -232,7 +239,19 @@ impl Dataset {
         roots: Vec<PageEntry>,
         heights: [f64; 2],
     ) -> Self {
-        let mut dataset = Self { number, slot, info, pages, roots: Vec::new(), heights };
+        let pyramid = info.grid.pyramid();
+        let (kind, finest, side) = (info.kind, pyramid.finest(), pyramid.page_side() as usize);
+        let mut dataset = Self {
+            number,
+            slot,
+            info,
+            pages,
+            kind,
+            finest,
+            texels: side * side,
+            roots: SmallVec::new(),
+            heights,
+        };
         dataset.roots = roots.into_iter().map(|entry| dataset.node(entry)).collect();
         dataset
     }
@@ -246,7 +265,7 @@ impl Dataset {
 
     /// Whether it lies on a terrain, and is none.
     fn is_laid_on(&self) -> bool {
-        self.info.kind != Kind::Height
+        self.kind != Kind::Height
     }
 
     pub(crate) fn bounds(&self) -> Aabb {
@@ -271,23 +290,17 @@ impl Dataset {
 
     /// Bytes of a decoded page.
     pub(crate) fn page_bytes(&self, entry: &PageEntry) -> usize {
-        let per_texel = match self.info.kind {
+        let per_texel = match self.kind {
             Kind::Height => size_of::<f32>(),
             Kind::Color | Kind::Normal => 3,
         };
-        self.texels() * (per_texel + usize::from(!entry.full))
+        self.texels * (per_texel + usize::from(!entry.full))
     }
 
     /// The most that loading a page takes of so many stored bytes: those, and texels with a coverage
     /// beside them.
     pub(crate) fn load_bytes(&self, stored: usize) -> usize {
-        self.texels() * (size_of::<f32>() + 1) + stored
-    }
-
-    /// Texels of a page, its border included.
-    fn texels(&self) -> usize {
-        let side = self.info.grid.pyramid().page_side() as usize;
-        side * side
+        self.texels * (size_of::<f32>() + 1) + stored
     }
 
     /// What the search has to know of a page.

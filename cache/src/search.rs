@@ -43,8 +43,8 @@ type Hides = dyn Fn(&DatasetInfo) -> bool + Send + Sync;
 pub(crate) struct Hidden(pub(crate) Option<Arc<Hides>>);
 
 impl Hidden {
-    fn hides(&self, info: &DatasetInfo) -> bool {
-        self.0.as_ref().is_some_and(|hides| hides(info))
+    fn hides<'a>(&self, info: impl FnOnce() -> &'a DatasetInfo) -> bool {
+        self.0.as_ref().is_some_and(|hides| hides(info()))
     }
 }
 
@@ -101,12 +101,13 @@ pub(crate) fn search(scene: &Scene, memo: &mut Memo, wish: Wish<'_>, found: &mut
         search.climb(trunk, found);
     }
     let mut bytes = 0;
-    while let Some(Candidate { pixels, place, step }) = found.heap.pop() {
-        match step {
+    while let Some(candidate) = found.heap.pop() {
+        let (pixels, place) = (candidate.pixels(), candidate.place());
+        match candidate.step() {
             Step::Climb => search.take_apart(place, found),
             Step::Open => {
                 let dataset = scene.slots[place];
-                if !hidden.hides(&scene.datasets[dataset].info) {
+                if !hidden.hides(|| &scene.datasets[dataset].info) {
                     search.open(dataset, found);
                 }
             }
@@ -119,7 +120,7 @@ pub(crate) fn search(scene: &Scene, memo: &mut Memo, wish: Wish<'_>, found: &mut
                 } else {
                     found.tolerance_px = found.tolerance_px.max(pixels);
                     // What would come after is smaller yet.
-                    found.heap.retain(|candidate| candidate.step == Step::Refine);
+                    found.heap.retain(|candidate| candidate.step() == Step::Refine);
                 }
             }
             // So are all the others that are drawn.
@@ -181,7 +182,7 @@ impl Search<'_> {
     /// Puts datasets among what is to come, unless they are too small to be seen.
     fn put_off(&self, pixels: f64, place: usize, step: Step, found: &mut Found) {
         if pixels >= Lens::SMALLEST_PX {
-            found.heap.push(Candidate { pixels, place, step });
+            found.heap.push(Candidate::new(pixels, place, step));
         }
     }
 
@@ -205,7 +206,7 @@ impl Search<'_> {
             // Nearer than its own size, it is as large as can be.
             let size = self.worst(node.extent_m(), sights[mark..].iter().copied());
             let (pixels, place) = (size.max(root.pixels), found.roots.len());
-            found.heap.push(Candidate { pixels, place, step: Step::Draw });
+            found.heap.push(Candidate::new(pixels, place, Step::Draw));
             found.roots.push(root);
         }
         found.root_sights = sights;
@@ -218,7 +219,7 @@ impl Search<'_> {
         let (place, sights) = (found.seen.len(), place * views..(place + 1) * views);
         found.sights.extend_from_slice(&found.root_sights[sights]);
         found.seen.push(root);
-        found.heap.push(Candidate { pixels: root.pixels, place, step: Step::Refine });
+        found.heap.push(Candidate::new(root.pixels, place, Step::Refine));
     }
 
     /// Puts a page's children in its place, if they are known and there is room for them.
@@ -232,7 +233,7 @@ impl Search<'_> {
         let parent = found.seen[place];
         let dataset = &self.scene.datasets[parent.dataset];
         let page = parent.node.entry.page;
-        if page.level == dataset.info.grid.pyramid().finest() {
+        if page.level == dataset.finest {
             found.wanted.push(place);
             return;
         }
@@ -288,12 +289,12 @@ impl Search<'_> {
         }
         *bytes += more;
         if self.blends {
-            let least = self.least(&parent, dataset.info.kind, first, found);
+            let least = self.least(&parent, dataset.kind, first, found);
             found.refined.push((place, least));
         }
         for place in first..found.seen.len() {
             let pixels = found.seen[place].pixels;
-            found.heap.push(Candidate { pixels, place, step: Step::Refine });
+            found.heap.push(Candidate::new(pixels, place, Step::Refine));
         }
     }
 
@@ -326,14 +327,14 @@ impl Search<'_> {
 
     /// Drops wanted pages of which no part is in sight: at the rim of the picture, a box reaches around
     /// corners that its parts do not. Children without data say nothing about what the
-    /// page shows there.
+    /// page shows there. A part whose middle is in sight ends it: boxes of parts are flat.
     fn drop_unseen(&self, memo: &mut Memo, found: &mut Found) {
         let Found { wanted, seen, visited, culled, .. } = found;
         wanted.retain(|&place| {
             let Seen { dataset, node, .. } = seen[place];
             let dataset = &self.scene.datasets[dataset];
-            let (page, pyramid) = (node.entry.page, dataset.info.grid.pyramid());
-            if page.level == pyramid.finest()
+            let page = node.entry.page;
+            if page.level == dataset.finest
                 || self.lenses.iter().any(|lens| lens.holds(&node.volume))
             {
                 return true;
@@ -341,7 +342,9 @@ impl Search<'_> {
             let unseen =
                 memo.all_parts(dataset, page, (Self::PARTS, true), visited, &|part, is_last| {
                     let halvings = if is_last { Self::HALVINGS } else { 0 };
-                    if self.is_unseen(&part.volume, halvings) {
+                    if self.lenses.iter().any(|lens| lens.shows(part.volume.bounds().center)) {
+                        Verdict::No
+                    } else if self.is_unseen(&part.volume, halvings) {
                         Verdict::Yes
                     } else {
                         Verdict::Unsure
@@ -423,7 +426,7 @@ impl Search<'_> {
             return None;
         }
         let bound = f64::from(node.entry.bound);
-        let error_m = match self.scene.datasets[dataset].info.kind {
+        let error_m = match self.scene.datasets[dataset].kind {
             Kind::Height => bound,
             // Less than half a code is not seen.
             Kind::Color | Kind::Normal if bound < 0.5 => 0.0,

@@ -187,6 +187,12 @@ impl Lens {
         if along > 0.0 { (2.0 * radius * reach / along).max(1.0) } else { f64::INFINITY }
     }
 
+    /// Whether a point is in the picture, and not behind the body.
+    pub(crate) fn shows(&self, point: DVec3) -> bool {
+        self.frustum.iter().all(|side| side.normal.dot(point) >= side.offset)
+            && !self.horizon.is_some_and(|horizon| horizon.hides_point(point))
+    }
+
     /// Whether all of a page is in the picture, or behind the body.
     pub(crate) fn holds(&self, volume: &Volume) -> bool {
         let bounds = volume.bounds();

@@ -34,19 +34,23 @@ use stored::Stored;
 #[serde(try_from = "Stored", into = "Stored")]
 pub struct Bvh {
     nodes: Vec<Node>,
+    /// Of each node, if it has one.
+    parents: Vec<Option<usize>>,
     root: Option<usize>,
     free: Vec<usize>,
     /// Where the leaf of each item is.
     leaves: BTreeMap<u32, usize>,
 }
 
+/// What a query reads: a line of a processor's cache, whose misses are most of what it costs.
 #[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
 struct Node {
     bounds: Aabb,
     /// The greatest extent of the items below, in meters.
     largest_m: f64,
-    parent: Option<usize>,
-    content: Content,
+    /// Two children, or an item and [`Self::LEAF`].
+    parts: [u32; 2],
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -85,9 +89,24 @@ struct Candidate {
 }
 
 impl Node {
+    /// The index that no child has.
+    const LEAF: u32 = u32::MAX;
+
     fn leaf(item: u32, bounds: Aabb) -> Self {
         let largest_m = bounds.diagonal();
-        Self { bounds, largest_m, parent: None, content: Content::Leaf(item) }
+        Self { bounds, largest_m, parts: [item, Self::LEAF] }
+    }
+
+    fn inner(children: [usize; 2], bounds: Aabb, largest_m: f64) -> Self {
+        let parts = children.map(|child| u32::try_from(child).expect("fewer than 2^32 nodes"));
+        Self { bounds, largest_m, parts }
+    }
+
+    fn content(&self) -> Content {
+        match self.parts {
+            [item, Self::LEAF] => Content::Leaf(item),
+            children => Content::Inner(children.map(|child| child as usize)),
+        }
     }
 }
 
@@ -132,7 +151,7 @@ impl Bvh {
         }
         let mut total = 0.0;
         self.walk(|node| {
-            if let Content::Inner(_) = node.content {
+            if let Content::Inner(_) = node.content() {
                 total += node.bounds.half_area();
             }
             true
@@ -144,7 +163,7 @@ impl Bvh {
     pub fn visit(&self, mut keep: impl FnMut(&Aabb) -> bool, mut found: impl FnMut(u32)) {
         self.walk(|node| {
             let kept = keep(&node.bounds);
-            if let (true, Content::Leaf(item)) = (kept, node.content) {
+            if let (true, Content::Leaf(item)) = (kept, node.content()) {
                 found(item);
             }
             kept
@@ -164,8 +183,9 @@ impl Bvh {
     /// If the tree has no such branch.
     #[must_use]
     pub fn branch(&self, index: usize) -> Branch {
-        let Node { bounds, largest_m, content, .. } = self.nodes[index];
-        let parts = match content {
+        let node = &self.nodes[index];
+        let Node { bounds, largest_m, .. } = *node;
+        let parts = match node.content() {
             Content::Leaf(item) => Parts::Item(item),
             Content::Inner(children) => Parts::Branches(children),
         };
@@ -184,18 +204,18 @@ impl Bvh {
     /// Adds a box, in place of the one that `item` had before.
     pub fn insert(&mut self, item: u32, bounds: Aabb) {
         self.remove(item);
-        let leaf = self.add(Node::leaf(item, bounds));
+        let leaf = self.add(Node::leaf(item, bounds), None);
         self.leaves.insert(item, leaf);
         let Some(sibling) = self.best_sibling(&bounds) else {
             self.root = Some(leaf);
             return;
         };
 
-        let parent = self.nodes[sibling].parent;
-        let above = self.add(self.around([sibling, leaf], parent));
+        let parent = self.parents[sibling];
+        let above = self.add(self.around([sibling, leaf]), parent);
         self.replace_child(parent, sibling, above);
-        self.nodes[sibling].parent = Some(above);
-        self.nodes[leaf].parent = Some(above);
+        self.parents[sibling] = Some(above);
+        self.parents[leaf] = Some(above);
         self.refit(parent);
     }
 
@@ -204,12 +224,12 @@ impl Bvh {
     pub fn set_extent(&mut self, item: u32, extent_m: f64) {
         let Some(&leaf) = self.leaves.get(&item) else { return };
         self.nodes[leaf].largest_m = extent_m;
-        let mut next = self.nodes[leaf].parent;
+        let mut next = self.parents[leaf];
         while let Some(index) = next {
-            if let Content::Inner([one, other]) = self.nodes[index].content {
-                self.nodes[index] = self.around([one, other], self.nodes[index].parent);
+            if let Content::Inner([one, other]) = self.nodes[index].content() {
+                self.nodes[index] = self.around([one, other]);
             }
-            next = self.nodes[index].parent;
+            next = self.parents[index];
         }
     }
 
@@ -217,16 +237,16 @@ impl Bvh {
     pub fn remove(&mut self, item: u32) -> bool {
         let Some(leaf) = self.leaves.remove(&item) else { return false };
         self.free.push(leaf);
-        let Some(parent) = self.nodes[leaf].parent else {
+        let Some(parent) = self.parents[leaf] else {
             self.root = None;
             return true;
         };
-        let Content::Inner([one, other]) = self.nodes[parent].content else {
+        let Content::Inner([one, other]) = self.nodes[parent].content() else {
             unreachable!("a parent has children");
         };
         let sibling = if one == leaf { other } else { one };
-        let above = self.nodes[parent].parent;
-        self.nodes[sibling].parent = above;
+        let above = self.parents[parent];
+        self.parents[sibling] = above;
         self.replace_child(above, parent, sibling);
         self.free.push(parent);
         self.refit(above);
@@ -239,7 +259,7 @@ impl Bvh {
         let mut pending: Vec<usize> = self.root.into_iter().collect();
         while let Some(index) = pending.pop() {
             let node = &self.nodes[index];
-            if let (true, Content::Inner([one, other])) = (open(node), node.content) {
+            if let (true, Content::Inner([one, other])) = (open(node), node.content()) {
                 pending.extend([other, one]);
             }
         }
@@ -260,7 +280,7 @@ impl Bvh {
             if inherited + joined < best.0 {
                 best = (inherited + joined, Some(index));
             }
-            if let Content::Inner(children) = node.content {
+            if let Content::Inner(children) = node.content() {
                 let inherited = inherited + joined - node.bounds.half_area();
                 let least = inherited + area;
                 if least < best.0 {
@@ -276,20 +296,20 @@ impl Bvh {
     fn refit(&mut self, start: Option<usize>) {
         let mut next = start;
         while let Some(index) = next {
-            if let Content::Inner([one, other]) = self.nodes[index].content {
-                self.nodes[index] = self.around([one, other], self.nodes[index].parent);
+            if let Content::Inner([one, other]) = self.nodes[index].content() {
+                self.nodes[index] = self.around([one, other]);
                 self.rotate(index);
             }
-            next = self.nodes[index].parent;
+            next = self.parents[index];
         }
     }
 
     /// Lets a child of `index` trade places with a child of the other one, if that saves area.
     fn rotate(&mut self, index: usize) {
-        let Content::Inner(children) = self.nodes[index].content else { return };
+        let Content::Inner(children) = self.nodes[index].content() else { return };
         let mut best = (0.0, None);
         for (child, sibling) in [(children[0], children[1]), (children[1], children[0])] {
-            let Content::Inner(grandchildren) = self.nodes[sibling].content else { continue };
+            let Content::Inner(grandchildren) = self.nodes[sibling].content() else { continue };
             let area = self.nodes[sibling].bounds.half_area();
             for (kept, traded) in
                 [(grandchildren[0], grandchildren[1]), (grandchildren[1], grandchildren[0])]
@@ -304,48 +324,43 @@ impl Bvh {
         let Some((child, sibling, traded)) = best.1 else { return };
         self.replace_child(Some(index), child, traded);
         self.replace_child(Some(sibling), traded, child);
-        self.nodes[traded].parent = Some(index);
-        self.nodes[child].parent = Some(sibling);
-        if let Content::Inner(children) = self.nodes[sibling].content {
-            self.nodes[sibling] = self.around(children, Some(index));
+        self.parents[traded] = Some(index);
+        self.parents[child] = Some(sibling);
+        if let Content::Inner(children) = self.nodes[sibling].content() {
+            self.nodes[sibling] = self.around(children);
         }
     }
 
     /// The node of two others.
-    fn around(&self, children: [usize; 2], parent: Option<usize>) -> Node {
+    fn around(&self, children: [usize; 2]) -> Node {
         let [one, other] = children.map(|child| &self.nodes[child]);
-        Node {
-            bounds: one.bounds.union(&other.bounds),
-            largest_m: one.largest_m.max(other.largest_m),
-            parent,
-            content: Content::Inner(children),
-        }
+        let largest_m = one.largest_m.max(other.largest_m);
+        Node::inner(children, one.bounds.union(&other.bounds), largest_m)
     }
 
     /// Puts `new` where `old` was: below `parent`, or at the root.
     fn replace_child(&mut self, parent: Option<usize>, old: usize, new: usize) {
-        match parent.map(|parent| &mut self.nodes[parent].content) {
-            Some(Content::Inner(children)) => {
-                for child in children {
-                    if *child == old {
-                        *child = new;
-                    }
-                }
-            }
-            // A parent has children: a leaf is none.
-            Some(Content::Leaf(_)) => {}
-            None => self.root = Some(new),
+        let Some(parent) = parent else {
+            self.root = Some(new);
+            return;
+        };
+        let node = &mut self.nodes[parent];
+        // A parent has children: a leaf is none.
+        if let Content::Inner(children) = node.content() {
+            let children = children.map(|child| if child == old { new } else { child });
+            *node = Node::inner(children, node.bounds, node.largest_m);
         }
     }
 
-    fn add(&mut self, node: Node) -> usize {
+    fn add(&mut self, node: Node, parent: Option<usize>) -> usize {
         match self.free.pop() {
             Some(index) => {
-                self.nodes[index] = node;
+                (self.nodes[index], self.parents[index]) = (node, parent);
                 index
             }
             None => {
                 self.nodes.push(node);
+                self.parents.push(parent);
                 self.nodes.len() - 1
             }
         }

@@ -80,6 +80,12 @@ impl Horizon {
         along < self.hidden_below(greatest_radius)
     }
 
+    /// Whether the sphere hides a point.
+    #[must_use]
+    pub fn hides_point(&self, point: DVec3) -> bool {
+        self.hides(self.toward_eye.dot(point), point.length())
+    }
+
     fn hidden_below(&self, greatest_radius: f64) -> f64 {
         let over = (greatest_radius * greatest_radius - self.radius2).max(0.0).sqrt();
         self.plane - self.sine * over

@@ -1,6 +1,6 @@
 //! A tree from all its boxes at once: at every node the cut with the least surface area.
 
-use super::{Bvh, Content, Node};
+use super::{Bvh, Node};
 use crate::bounds::Aabb;
 
 /// Boxes that still want a subtree, and where it hangs.
@@ -16,12 +16,12 @@ pub(super) fn build(items: Vec<(u32, Aabb)>) -> Bvh {
     let Some(&(item, bounds)) = items.first() else { return tree };
     // Room for a node that is not known yet.
     let blank = Node::leaf(item, bounds);
-    tree.nodes.push(blank);
+    tree.add(blank, None);
     tree.root = Some(0);
     let mut pending = vec![Pending { items, index: 0, parent: None }];
     while let Some(Pending { mut items, index, parent }) = pending.pop() {
         if let &[(item, bounds)] = items.as_slice() {
-            tree.nodes[index] = Node { parent, ..Node::leaf(item, bounds) };
+            (tree.nodes[index], tree.parents[index]) = (Node::leaf(item, bounds), parent);
             tree.leaves.insert(item, index);
             continue;
         }
@@ -29,13 +29,12 @@ pub(super) fn build(items: Vec<(u32, Aabb)>) -> Bvh {
         let diagonals = items.iter().map(|(_, one)| one.diagonal());
         let largest_m = diagonals.fold(0.0, f64::max);
         let right = split(&mut items);
-        let first = tree.nodes.len();
-        tree.nodes.extend([blank; 2]);
-        let content = Content::Inner([first, first + 1]);
-        tree.nodes[index] = Node { bounds, largest_m, parent, content };
+        let children = [(); 2].map(|()| tree.add(blank, None));
+        tree.nodes[index] = Node::inner(children, bounds, largest_m);
+        tree.parents[index] = parent;
         let parent = Some(index);
-        pending.push(Pending { items: right, index: first + 1, parent });
-        pending.push(Pending { items, index: first, parent });
+        pending.push(Pending { items: right, index: children[1], parent });
+        pending.push(Pending { items, index: children[0], parent });
     }
     tree
 }

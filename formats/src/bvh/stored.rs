@@ -32,7 +32,7 @@ impl From<Bvh> for Stored {
     fn from(tree: Bvh) -> Self {
         let mut nodes = Vec::new();
         tree.walk(|node| {
-            nodes.push(match node.content {
+            nodes.push(match node.content() {
                 Content::Leaf(item) => Some(Leaf { item, bounds: node.bounds }),
                 Content::Inner(_) => None,
             });
@@ -69,13 +69,12 @@ impl TryFrom<Stored> for Bvh {
                     let (Some(one), Some(other)) = (finished.pop(), finished.pop()) else {
                         return Err(StoredError::Shape);
                     };
-                    let around = tree.around([one, other], None);
-                    tree.nodes[one].parent = Some(index);
-                    tree.nodes[other].parent = Some(index);
-                    around
+                    tree.parents[one] = Some(index);
+                    tree.parents[other] = Some(index);
+                    tree.around([one, other])
                 }
             };
-            tree.nodes.push(node);
+            tree.add(node, None);
             finished.push(index);
         }
         tree.root = finished.pop();

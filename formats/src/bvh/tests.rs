@@ -16,18 +16,18 @@ fn check_shape(tree: &Bvh) {
     for (index, node) in
         tree.nodes.iter().enumerate().filter(|(index, _)| !tree.free.contains(index))
     {
-        match node.content {
+        match node.content() {
             Content::Leaf(item) => {
                 assert_eq!(tree.leaves.get(&item), Some(&index));
                 leaves += 1;
             }
             Content::Inner([one, other]) => {
-                assert_eq!(tree.nodes[one].parent, Some(index));
-                assert_eq!(tree.nodes[other].parent, Some(index));
+                assert_eq!(tree.parents[one], Some(index));
+                assert_eq!(tree.parents[other], Some(index));
                 assert_eq!(node.bounds, tree.nodes[one].bounds.union(&tree.nodes[other].bounds));
             }
         }
-        assert_eq!(node.parent.is_none(), tree.root == Some(index));
+        assert_eq!(tree.parents[index].is_none(), tree.root == Some(index));
     }
     assert_eq!(leaves, tree.len());
     assert_eq!(tree.nodes.len() - tree.free.len(), (2 * leaves).saturating_sub(1));
