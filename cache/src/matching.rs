@@ -35,6 +35,8 @@ pub(crate) struct Matcher {
 struct Mark {
     used: bool,
     asked: bool,
+    /// Its place among the roots that are there, from 1 on.
+    root: usize,
     /// Missing pages for which it would stand in, and no other that is asked for.
     waiting: usize,
 }
@@ -74,7 +76,10 @@ impl Matcher {
             }
             let name = seen.name(scene);
             match store.touch(name) {
-                Some(root) => result.roots.push(root),
+                Some(root) => {
+                    result.roots.push(root);
+                    self.marks[place].root = result.roots.len();
+                }
                 None if store.error(Work::Texels(name)).is_none() => self.ask(place, name),
                 None => {}
             }
@@ -91,7 +96,12 @@ impl Matcher {
                     break;
                 }
                 let name = seen.name(scene);
-                if let Some(page) = store.touch(name) {
+                let root = self.marks[place].root.checked_sub(1);
+                let page = match root {
+                    Some(root) => Some(Arc::clone(&result.roots[root])),
+                    None => store.touch(name),
+                };
+                if let Some(page) = page {
                     self.marks[place].used = true;
                     is_shown = true;
                     result.error_px = result.error_px.max(seen.pixels);

@@ -24,6 +24,8 @@ pub(crate) struct Memo {
     clock: u64,
     /// It is gone through when there are more.
     most: usize,
+    /// Changes of the datasets since it was gone through for them.
+    changes: u32,
 }
 
 #[derive(Debug)]
@@ -39,6 +41,9 @@ impl Memo {
 
     /// Families that so many searches have not used may go.
     const RECENT: u64 = 16;
+
+    /// Changes of the datasets after which those that are gone are looked for.
+    const CHANGES: u32 = 64;
 
     /// A search begins.
     pub(crate) fn begin(&mut self) {
@@ -101,9 +106,14 @@ impl Memo {
         unsure.all(|part| self.all_parts(dataset, part, (levels - 1, whole), visited, judge))
     }
 
-    /// Lets go of datasets that no scene to be searched has.
+    /// Lets go of datasets that no scene to be searched has; once in [`Self::CHANGES`] times, as all
+    /// has to be gone through.
     pub(crate) fn keep(&mut self, is_there: impl Fn(usize) -> bool) {
-        self.children.retain(|(dataset, _), _| is_there(*dataset));
+        self.changes += 1;
+        if self.changes >= Self::CHANGES {
+            self.changes = 0;
+            self.children.retain(|(dataset, _), _| is_there(*dataset));
+        }
     }
 
     /// A search has ended.

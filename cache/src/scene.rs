@@ -203,10 +203,8 @@ impl Scene {
     /// elsewhere.
     pub(crate) fn newcomers(&self, before: &Self) -> Option<Vec<usize>> {
         // Numbers ascend, and those that are given later are greater.
-        let is_new = |number: usize| before.place(number).is_none();
-        let places = 0..self.numbers.len();
-        (self.heights == before.heights)
-            .then(|| places.filter(|&place| is_new(self.numbers[place])).collect())
+        let first = self.numbers.partition_point(|&number| number < before.next as usize);
+        (self.heights == before.heights).then(|| (first..self.numbers.len()).collect())
     }
 
     /// What there is to say of all datasets.
