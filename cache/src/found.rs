@@ -21,6 +21,32 @@ pub(crate) struct Seen {
     pub(crate) pixels: f64,
 }
 
+/// What there is to say of a page that is seen.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Glance {
+    pub(crate) texel_m: f64,
+    pub(crate) distance: f64,
+    pub(crate) error_m: f64,
+    pub(crate) pixels: f64,
+}
+
+impl Glance {
+    pub(crate) fn seen(self, dataset: usize, node: &Node, parent: Option<usize>) -> Seen {
+        let Self { texel_m, distance, error_m, pixels } = self;
+        Seen { dataset, node: Node { texel_m, ..*node }, parent, distance, error_m, pixels }
+    }
+}
+
+/// A root in sight.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Root {
+    /// Its dataset's place in the scene.
+    pub(crate) dataset: usize,
+    /// Its place among the dataset's roots.
+    pub(crate) number: usize,
+    pub(crate) glance: Glance,
+}
+
 /// What a search found; kept for the next one, so that it need not be allocated again.
 #[derive(Debug, Default)]
 pub(crate) struct Found {
@@ -37,7 +63,7 @@ pub(crate) struct Found {
     pub(crate) culled: usize,
     /// One for each view, of each in `seen`.
     pub(crate) sights: Vec<Sight>,
-    pub(crate) roots: Vec<Seen>,
+    pub(crate) roots: Vec<Root>,
     pub(crate) root_sights: Vec<Sight>,
     pub(crate) heap: BinaryHeap<Candidate>,
     pub(crate) lenses: Vec<Lens>,
@@ -60,8 +86,6 @@ pub(crate) enum Step {
     Refine,
     /// `place` is one in `roots`.
     Draw,
-    /// `place` is a dataset's slot.
-    Open,
     /// `place` is a branch of the tree over the datasets.
     Climb,
 }
@@ -71,9 +95,8 @@ impl Found {
     pub(crate) fn clear(&mut self) {
         let Self { seen, wanted, unindexed, beneath, sights, roots, root_sights, heap, .. } = self;
         [wanted, unindexed, beneath].into_iter().for_each(Vec::clear);
-        [seen, roots].into_iter().for_each(Vec::clear);
         [sights, root_sights].into_iter().for_each(Vec::clear);
-        heap.clear();
+        (seen.clear(), roots.clear(), heap.clear());
         self.refined.clear();
         (self.tolerance_px, self.visited, self.culled) = (f64::INFINITY, 0, 0);
     }
@@ -101,7 +124,6 @@ impl Candidate {
         match self.0 >> 62 & 3 {
             0 => Step::Refine,
             1 => Step::Draw,
-            2 => Step::Open,
             _ => Step::Climb,
         }
     }
@@ -113,7 +135,7 @@ mod tests {
 
     #[test]
     fn candidates_are_what_they_were_made_of_and_in_order() {
-        let steps = [Step::Refine, Step::Draw, Step::Open, Step::Climb];
+        let steps = [Step::Refine, Step::Draw, Step::Climb];
         let errors = [0.0, f64::MIN_POSITIVE, 0.5, 1.0, 1e9, f64::MAX, f64::INFINITY];
         let mut last = None;
         for pixels in errors {

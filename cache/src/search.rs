@@ -24,12 +24,11 @@
 use std::fmt;
 use std::sync::Arc;
 
-use areoid_formats::bounds::Aabb;
 use areoid_formats::bvh::{Branch, Parts};
 use areoid_formats::page::Kind;
 use areoid_formats::volume::Volume;
 
-use crate::found::{Candidate, Found, Seen, Step};
+use crate::found::{Candidate, Found, Glance, Root, Seen, Step};
 use crate::memo::{Memo, Verdict};
 use crate::scene::{Node, Scene};
 use crate::selection::DatasetInfo;
@@ -88,32 +87,23 @@ pub(crate) fn search(scene: &Scene, memo: &mut Memo, wish: Wish<'_>, found: &mut
     found.tolerance_px = first.tolerance_px;
     found.lenses.extend(views.iter().map(|view| Lens::new(view, scene.radii())));
     let mut lenses = std::mem::take(&mut found.lenses);
-    let search = Search { scene, views, lenses: &lenses, blends };
+    let search = Search { scene, views, lenses: &lenses, hidden, blends };
 
     if let Some(Only { places, tolerance_px }) = only {
         found.tolerance_px = found.tolerance_px.max(tolerance_px);
-        for &place in places {
-            let dataset = &scene.datasets[place];
-            let pixels = search.largest(&dataset.bounds(), dataset.extent_m());
-            search.put_off(pixels, dataset.slot as usize, Step::Open, found);
-        }
+        places.iter().for_each(|&place| search.open(place, found));
     } else if let Some(trunk) = scene.tree.trunk() {
         search.climb(trunk, found);
     }
-    let mut bytes = 0;
+    let (mut bytes, mut is_full) = (0, false);
     while let Some(candidate) = found.heap.pop() {
         let (pixels, place) = (candidate.pixels(), candidate.place());
         match candidate.step() {
             Step::Climb => search.take_apart(place, found),
-            Step::Open => {
-                let dataset = scene.slots[place];
-                if !hidden.hides(|| &scene.datasets[dataset].info) {
-                    search.open(dataset, found);
-                }
-            }
             Step::Draw => {
-                let root = &found.roots[place];
-                let more = scene.datasets[root.dataset].page_bytes(&root.node.entry);
+                let Root { dataset, number, .. } = found.roots[place];
+                let dataset = &scene.datasets[dataset];
+                let more = dataset.page_bytes(&dataset.roots[number].entry);
                 if bytes + more <= allowance {
                     bytes += more;
                     search.draw(place, found);
@@ -121,10 +111,16 @@ pub(crate) fn search(scene: &Scene, memo: &mut Memo, wish: Wish<'_>, found: &mut
                     found.tolerance_px = found.tolerance_px.max(pixels);
                     // What would come after is smaller yet.
                     found.heap.retain(|candidate| candidate.step() == Step::Refine);
+                    is_full = true;
                 }
             }
             // So are all the others that are drawn.
-            Step::Refine if pixels <= found.tolerance_px => found.wanted.push(place),
+            Step::Refine if pixels <= found.tolerance_px => {
+                found.wanted.push(place);
+                if is_full {
+                    found.wanted.extend(found.heap.drain().map(Candidate::place));
+                }
+            }
             Step::Refine => search.refine(place, (&mut bytes, allowance), memo, found),
         }
     }
@@ -140,6 +136,7 @@ struct Search<'a> {
     scene: &'a Scene,
     views: &'a [View],
     lenses: &'a [Lens],
+    hidden: &'a Hidden,
     blends: bool,
 }
 
@@ -160,29 +157,25 @@ impl Search<'_> {
     const LEAST_SHARP: f64 = 8.0;
 
     /// Puts a branch of the tree over the datasets among what is to come, by the largest that one of
-    /// its datasets can be on the screen.
+    /// its datasets can be on the screen; opens it if it is one.
     fn climb(&self, branch: usize, found: &mut Found) {
         found.visited += 1;
         let Branch { bounds, largest_m, parts } = self.scene.tree.branch(branch);
-        let (place, step) = match parts {
-            Parts::Branches(_) => (branch, Step::Climb),
-            Parts::Item(slot) => (slot as usize, Step::Open),
-        };
-        self.put_off(self.largest(&bounds, largest_m), place, step, found);
-    }
-
-    /// How large a dataset can be on the screen that lies in a box, in pixels.
-    fn largest(&self, bounds: &Aabb, extent_m: f64) -> f64 {
-        let sights = self.lenses.iter().map(|lens| {
-            if lens.misses_box(bounds) { Sight::NONE } else { lens.sight_of_box(bounds) }
+        let mut sights = self.lenses.iter().map(|lens| {
+            if lens.misses_box(&bounds) { Sight::NONE } else { lens.sight_of_box(&bounds) }
         });
-        self.worst(extent_m, sights)
-    }
-
-    /// Puts datasets among what is to come, unless they are too small to be seen.
-    fn put_off(&self, pixels: f64, place: usize, step: Step, found: &mut Found) {
-        if pixels >= Lens::SMALLEST_PX {
-            found.heap.push(Candidate::new(pixels, place, step));
+        match parts {
+            Parts::Item(slot) => {
+                if sights.any(|sight| sight.is_seen()) {
+                    self.open(self.scene.slots[slot as usize], found);
+                }
+            }
+            Parts::Branches(_) => {
+                let pixels = self.worst(largest_m, sights);
+                if pixels >= Lens::SMALLEST_PX {
+                    found.heap.push(Candidate::new(pixels, branch, Step::Climb));
+                }
+            }
         }
     }
 
@@ -197,29 +190,37 @@ impl Search<'_> {
 
     /// Looks at the roots of a dataset.
     fn open(&self, dataset: usize, found: &mut Found) {
+        if self.hidden.hides(|| &self.scene.datasets[dataset].info) {
+            return;
+        }
         let mut sights = std::mem::take(&mut found.root_sights);
-        for &node in &self.scene.datasets[dataset].roots {
+        for (number, node) in self.scene.datasets[dataset].roots.iter().enumerate() {
             let mark = sights.len();
-            let Some(root) = self.look_at(dataset, node, None, &mut sights, found) else {
+            let Some(glance) = self.look_at(dataset, node, None, &mut sights, found) else {
                 continue;
             };
             // Nearer than its own size, it is as large as can be.
             let size = self.worst(node.extent_m(), sights[mark..].iter().copied());
-            let (pixels, place) = (size.max(root.pixels), found.roots.len());
+            if size < Lens::SMALLEST_PX {
+                sights.truncate(mark);
+                continue;
+            }
+            let (pixels, place) = (size.max(glance.pixels), found.roots.len());
             found.heap.push(Candidate::new(pixels, place, Step::Draw));
-            found.roots.push(root);
+            found.roots.push(Root { dataset, number, glance });
         }
         found.root_sights = sights;
     }
 
     /// Takes a root in.
     fn draw(&self, place: usize, found: &mut Found) {
-        let root = found.roots[place];
+        let Root { dataset, number, glance } = found.roots[place];
+        let node = &self.scene.datasets[dataset].roots[number];
         let views = self.lenses.len();
         let (place, sights) = (found.seen.len(), place * views..(place + 1) * views);
         found.sights.extend_from_slice(&found.root_sights[sights]);
-        found.seen.push(root);
-        found.heap.push(Candidate::new(root.pixels, place, Step::Refine));
+        found.seen.push(glance.seen(dataset, node, None));
+        found.heap.push(Candidate::new(glance.pixels, place, Step::Refine));
     }
 
     /// Puts a page's children in its place, if they are known and there is room for them.
@@ -249,14 +250,14 @@ impl Search<'_> {
         let (first, first_sight) = (found.seen.len(), found.sights.len());
         let mut sights = std::mem::take(&mut found.sights);
         let (mut more, mut sharper) = (0, 0.0_f64);
-        for &node in nodes {
+        for node in nodes {
             let mark = sights.len();
-            let child = self.look_at(parent.dataset, node, Some(place), &mut sights, found);
-            if let Some(child) = child {
+            let glance = self.look_at(parent.dataset, node, Some(place), &mut sights, found);
+            if let Some(glance) = glance {
                 let here = sights[mark..].iter().copied();
                 sharper = sharper.max(self.worst(parent.error_m, here));
-                more += dataset.page_bytes(&child.node.entry);
-                found.seen.push(child);
+                more += dataset.page_bytes(&node.entry);
+                found.seen.push(glance.seen(parent.dataset, node, Some(place)));
             }
         }
         found.sights = sights;
@@ -396,11 +397,11 @@ impl Search<'_> {
     fn look_at(
         &self,
         dataset: usize,
-        node: Node,
+        node: &Node,
         parent: Option<usize>,
         sights: &mut Vec<Sight>,
         found: &mut Found,
-    ) -> Option<Seen> {
+    ) -> Option<Glance> {
         found.visited += 1;
         let mark = sights.len();
         let views = self.lenses.len();
@@ -433,8 +434,7 @@ impl Search<'_> {
             Kind::Color | Kind::Normal => texel_m,
         };
         let pixels = self.worst(error_m, sights[mark..].iter().copied());
-        let node = Node { texel_m, ..node };
-        Some(Seen { dataset, node, parent, distance: nearest, error_m, pixels })
+        Some(Glance { texel_m, distance: nearest, error_m, pixels })
     }
 
     /// How large a length is in the view in which it is largest for its tolerance, in pixels of the
