@@ -96,7 +96,9 @@ impl Found {
         let Self { seen, wanted, unindexed, beneath, sights, roots, root_sights, heap, .. } = self;
         [wanted, unindexed, beneath].into_iter().for_each(Vec::clear);
         [sights, root_sights].into_iter().for_each(Vec::clear);
-        (seen.clear(), roots.clear(), heap.clear());
+        seen.clear();
+        roots.clear();
+        heap.clear();
         self.refined.clear();
         (self.tolerance_px, self.visited, self.culled) = (f64::INFINITY, 0, 0);
     }

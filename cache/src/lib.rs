@@ -49,6 +49,8 @@ mod engine;
 
 mod motion;
 
+mod coming;
+
 mod session;
 
 mod single;

@@ -146,9 +146,8 @@ impl Shared {
         }
         let advice = self.store().take_advice();
         if !advice.is_empty() {
-            runtime.spawn_blocking(move || {
-                advice.iter().for_each(|request| request.dataset.pages.advise(&request.entry));
-            });
+            let shared = Arc::clone(self);
+            runtime.spawn_blocking(move || shared.advise(&advice));
         }
     }
 
@@ -157,9 +156,19 @@ impl Shared {
     }
 
     fn look(&self, mut look: Look) {
+        let mut ended = Ended { shared: self, look: None };
         look.search();
-        look.ask(&mut self.store());
-        self.lookouts().done(look);
+        // Whoever draws finds the tables free in between.
+        let requests = look.requests(|work| self.store().needs_load(work));
+        look.ask(requests, &mut self.store());
+        ended.look = Some(look);
+    }
+
+    fn advise(&self, advice: &[Request]) {
+        for request in advice {
+            request.dataset.pages.advise(&request.entry);
+        }
+        self.store().end_advice();
         self.wake();
     }
 
@@ -206,6 +215,19 @@ impl Shared {
                 self.store().forget(|number| now.place(number).is_none());
             }
         }
+    }
+}
+
+/// The end of a search ahead: given up, if it has none.
+struct Ended<'a> {
+    shared: &'a Shared,
+    look: Option<Look>,
+}
+
+impl Drop for Ended<'_> {
+    fn drop(&mut self) {
+        self.shared.lookouts().end(self.look.take());
+        self.shared.wake();
     }
 }
 

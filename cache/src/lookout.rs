@@ -1,9 +1,10 @@
 //! What views will need in a moment, looked for beside the threads that draw.
 //!
 //! A session posts where its view will be; a thread that may wait searches there, and puts what it
-//! finds behind all that is needed now. A session has one search under way, and the newest post waits.
+//! finds behind all that is needed now. One search is under way, and of each session the newest post waits.
 
 use std::collections::BTreeMap;
+use std::ops::Bound;
 use std::sync::Arc;
 
 use crate::found::Found;
@@ -11,7 +12,7 @@ use crate::matching::Matcher;
 use crate::memo::Memo;
 use crate::scene::Scene;
 use crate::search::{Hidden, Wish, search};
-use crate::store::{Request, Store};
+use crate::store::{Request, Store, Work};
 use crate::view::View;
 
 /// Where to look.
@@ -44,28 +45,26 @@ pub(crate) struct Look {
     room: Box<Room>,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Place {
     task: Option<Task>,
     /// None while a search is under way.
     room: Option<Box<Room>>,
 }
 
-/// The searches of all sessions.
+/// The searches of all sessions, of which one is done at a time.
 #[derive(Debug, Default)]
 pub(crate) struct Lookouts {
     /// By session.
     places: BTreeMap<u64, Place>,
+    is_busy: bool,
+    last_served: u64,
 }
 
 impl Lookouts {
     /// Posts a search, instead of one that has not begun.
     pub(crate) fn post(&mut self, session: u64, task: Task) {
-        let place = self
-            .places
-            .entry(session)
-            .or_insert_with(|| Place { task: None, room: Some(Box::default()) });
-        place.task = Some(task);
+        self.places.entry(session).or_default().task = Some(task);
     }
 
     /// Forgets a session, and what it posted.
@@ -73,22 +72,28 @@ impl Lookouts {
         self.places.remove(&session);
     }
 
-    /// A search to be done now, if there is one.
+    /// A search to be done now, if there is one and none is being done: of each session in turn.
     pub(crate) fn next(&mut self) -> Option<Look> {
-        self.places.iter_mut().find_map(|(&session, place)| {
-            let task = place.task.take()?;
-            let Some(room) = place.room.take() else {
-                place.task = Some(task);
-                return None;
-            };
-            Some(Look { session, task, room })
-        })
+        if self.is_busy {
+            return None;
+        }
+        let is_posted = |(session, place): (&u64, &Place)| place.task.is_some().then_some(*session);
+        let later = (Bound::Excluded(self.last_served), Bound::Unbounded);
+        let next = self.places.range(later).find_map(is_posted);
+        let session = next.or_else(|| self.places.iter().find_map(is_posted))?;
+        let place = self.places.get_mut(&session)?;
+        let (task, room) = (place.task.take()?, place.room.take().unwrap_or_default());
+        (self.is_busy, self.last_served) = (true, session);
+        Some(Look { session, task, room })
     }
 
-    /// A search has been done.
-    pub(crate) fn done(&mut self, look: Look) {
-        if let Some(place) = self.places.get_mut(&look.session) {
-            place.room = Some(look.room);
+    /// A search has ended, or was given up.
+    pub(crate) fn end(&mut self, look: Option<Look>) {
+        self.is_busy = false;
+        if let Some(Look { session, room, .. }) = look
+            && let Some(place) = self.places.get_mut(&session)
+        {
+            place.room = Some(room);
         }
     }
 }
@@ -107,15 +112,71 @@ impl Look {
         search(now, memo, wish, found);
     }
 
-    /// Puts what was found behind what is needed now.
-    pub(crate) fn ask(&mut self, store: &mut Store) {
+    /// What to ask for, of what was found, that `needs_load`.
+    pub(crate) fn requests(&mut self, needs_load: impl Fn(Work) -> bool) -> Vec<Request> {
         let Room { matcher, found, .. } = &mut *self.room;
-        let mut needs: Vec<Request> = Vec::new();
-        matcher.expect(&self.task.scene, found, store, &mut needs);
+        let mut requests = Vec::new();
+        matcher.expect(&self.task.scene, found, needs_load, &mut requests);
+        requests
+    }
+
+    /// Puts requests behind what is needed now.
+    pub(crate) fn ask(&self, requests: Vec<Request>, store: &mut Store) {
         if self.task.is_far {
-            store.advise(needs);
+            store.advise(requests);
         } else {
-            store.replace_ahead(self.session, needs);
+            store.replace_ahead(self.session, requests);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use areoid_formats::body::Body;
+    use areoid_formats::units::Radians;
+    use glam::{DMat3, DVec3};
+
+    use super::*;
+
+    fn task(tolerance_px: f64) -> Task {
+        let scene = Arc::new(Scene::empty(Body::parse("mars").unwrap()));
+        let view = View {
+            eye: DVec3::X,
+            orientation: DMat3::IDENTITY,
+            vertical_fov: Radians(1.0),
+            viewport: [1; 2],
+            tolerance_px,
+        };
+        Task { scene, view, hidden: Hidden::default(), allowance: 0, blends: false, is_far: false }
+    }
+
+    fn next(lookouts: &mut Lookouts) -> Option<(u64, f64, Look)> {
+        lookouts.next().map(|look| (look.session, look.task.view.tolerance_px, look))
+    }
+
+    #[test]
+    fn one_search_is_done_at_a_time_and_the_newest_of_each_session_in_turn() {
+        let mut lookouts = Lookouts::default();
+        for (session, tolerance_px) in [(1, 1.0), (2, 2.0), (1, 3.0), (3, 4.0)] {
+            lookouts.post(session, task(tolerance_px));
+        }
+        let (session, tolerance_px, look) = next(&mut lookouts).unwrap();
+        assert_eq!((session, tolerance_px), (1, 3.0));
+        lookouts.post(1, task(5.0));
+        assert!(next(&mut lookouts).is_none(), "two at a time");
+        lookouts.end(Some(look));
+        let (session, tolerance_px, look) = next(&mut lookouts).unwrap();
+        assert_eq!((session, tolerance_px), (2, 2.0));
+        // It is gone before its search ends, and so is another before it begins.
+        lookouts.remove(2);
+        lookouts.remove(3);
+        lookouts.end(Some(look));
+        let (session, tolerance_px, _given_up) = next(&mut lookouts).unwrap();
+        assert_eq!((session, tolerance_px), (1, 5.0));
+        lookouts.end(None);
+        assert!(next(&mut lookouts).is_none());
+        assert_eq!(lookouts.places.keys().collect::<Vec<_>>(), [&1]);
+        lookouts.post(1, task(6.0));
+        assert!(next(&mut lookouts).is_some(), "after one that was given up there is none");
     }
 }

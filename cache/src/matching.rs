@@ -183,24 +183,24 @@ impl Matcher {
         }
     }
 
-    /// What to ask for so that what was found will be there; nothing is used by it.
+    /// What to ask for so that what was found will be there, of what `needs_load`; nothing is used by it.
     pub(crate) fn expect(
         &mut self,
         scene: &Scene,
         found: &Found,
-        store: &Store,
+        needs_load: impl Fn(Work) -> bool,
         requests: &mut Vec<Request>,
     ) {
         self.begin(found);
         for &place in found.wanted.iter().chain(&found.beneath) {
             let name = found.seen[place].name(scene);
-            if !store.holds(name) && store.error(Work::Texels(name)).is_none() {
+            if needs_load(Work::Texels(name)) {
                 self.ask(place, name);
             }
         }
         for &place in &found.unindexed {
             let work = Work::Children(found.seen[place].name(scene));
-            if store.error(work).is_none() {
+            if needs_load(work) {
                 self.needs.push((place, work));
             }
         }

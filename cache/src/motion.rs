@@ -22,6 +22,8 @@ pub(crate) struct Motion {
     velocity: DVec3,
     /// Radians a second about its own direction.
     rotation: DVec3,
+    /// How far it went last, in meters, and turned, in radians.
+    step: (f64, f64),
 }
 
 impl Motion {
@@ -30,6 +32,10 @@ impl Motion {
 
     /// After a pause of this, or a leap that no flight makes, what was before says nothing.
     const PAUSE: Duration = Duration::from_millis(500);
+
+    /// A view is nearly the one before if it went no farther than this share of its height, and turned by no
+    /// more than so many radians.
+    const NEAR: (f64, f64) = (0.05, 0.1);
 
     /// The view was `view` at `now`.
     pub(crate) fn observe(&mut self, view: &View, now: Instant) {
@@ -43,6 +49,7 @@ impl Motion {
         let velocity = (view.eye - before.eye) / seconds;
         let turn = turn(before.orientation, view.orientation) / seconds;
         let is_leap = (view.eye - before.eye).length() > 0.05 * before.eye.length();
+        self.step = ((view.eye - before.eye).length(), turn.length() * seconds);
         if elapsed > Self::PAUSE || is_leap || !velocity.is_finite() || !turn.is_finite() {
             (self.velocity, self.rotation) = (DVec3::ZERO, DVec3::ZERO);
             return;
@@ -50,6 +57,13 @@ impl Motion {
         let weight = 1.0 - (-seconds / Self::MEMORY.as_secs_f64()).exp();
         self.velocity += weight * (velocity - self.velocity);
         self.rotation += weight * (turn - self.rotation);
+    }
+
+    /// Whether the view is nearly the one before, above ground that is `radius_m` from the body's center.
+    pub(crate) fn is_steady(&self, radius_m: f64) -> bool {
+        let height = self.last.map_or(0.0, |(_, view)| view.eye.length() - radius_m);
+        let (share, angle) = Self::NEAR;
+        self.step.0 <= share * height && self.step.1 <= angle
     }
 
     /// The view after `ahead`, above ground that is `radius_m` from the body's center; `None` if it

@@ -1,13 +1,14 @@
 //! One rendering context: views go in, the best pages in memory come out.
 
-use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
 
 use areoid_formats::bounds::Aabb;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
+use crate::coming::{Coming, Showing};
 use crate::engine::{ADOPT_WITHIN, Engine};
 use crate::found::Found;
 use crate::lookout::Task;
@@ -15,7 +16,7 @@ use crate::matching::{Match, Matcher};
 use crate::memo::Memo;
 use crate::motion::Motion;
 use crate::scene::Scene;
-use crate::search::{Hidden, Only, Wish, search};
+use crate::search::{Hidden, Wish, search};
 use crate::selection::{DatasetInfo, Datasets, ResidentPage, Selection};
 use crate::store::{PageName, Request, Store};
 use crate::view::{Lens, View};
@@ -25,7 +26,7 @@ use crate::view::{Lens, View};
 /// # Threads
 ///
 /// A session belongs to one thread at a time. [`Self::update`] and [`Self::update_all`] are for
-/// the thread that draws; the others wait. Dropping a session takes the store's lock for a moment.
+/// the thread that draws; the others wait. Dropping a session takes the cache's locks for a moment.
 ///
 /// # Changes
 ///
@@ -59,28 +60,6 @@ pub struct Session {
     numbers: Vec<usize>,
     news: watch::Receiver<u64>,
     budget_bytes: usize,
-}
-
-/// A state of the datasets, and what the views see of it.
-#[derive(Debug)]
-struct Showing {
-    scene: Arc<Scene>,
-    found: Found,
-}
-
-/// A state of the datasets that is to be shown when what is new in it is there.
-#[derive(Debug)]
-struct Coming {
-    /// When it was heard of, or of one that has not been shown either.
-    since: Instant,
-    /// What is found is of the newcomers alone, but in a trial.
-    showing: Showing,
-    /// Places of datasets that the state shown has not; `None` if others may lie elsewhere.
-    newcomers: Option<Vec<usize>>,
-    /// What it lacked in the last trial.
-    lacks: Vec<Request>,
-    /// Whether a trial may find that it lacks nothing.
-    is_ready: bool,
 }
 
 impl Session {
@@ -173,9 +152,7 @@ impl Session {
         }
         self.search(views, now);
         let engine = Arc::clone(&self.engine);
-        if let Some(mut store) = engine.shared().try_store() {
-            self.select(&mut store, now);
-            drop(store);
+        if self.settle_on(|| engine.shared().try_store(), now) {
             engine.shared().wake();
         } else {
             // It is tried again even if the views stay.
@@ -189,7 +166,8 @@ impl Session {
     /// may change the selection of an unchanged view. Never waits.
     #[must_use]
     pub fn has_news(&self) -> bool {
-        self.news.has_changed().unwrap_or(false)
+        let is_ready = self.next.as_ref().is_some_and(Coming::is_ready);
+        is_ready || self.news.has_changed().unwrap_or(false)
     }
 
     /// The selection for `view` with nothing missing that can be had: pages that cannot be read are
@@ -205,16 +183,12 @@ impl Session {
         loop {
             let now = Instant::now();
             self.search(std::slice::from_ref(view), now);
-            let stalled = {
-                let mut store = engine.shared().store();
-                // It speaks of this view's requests from the second look on.
-                let stalled = store.stalled && asked;
-                self.select(&mut store, now);
-                stalled
-            };
+            // It speaks of this view's requests from the second look on.
+            let stalled = asked && engine.shared().store().stalled;
+            self.settle_on(|| Some(engine.shared().store()), now);
             engine.shared().wake();
             asked = true;
-            if self.next.as_ref().is_some_and(|next| next.is_ready) {
+            if self.next.as_ref().is_some_and(Coming::is_ready) {
                 continue;
             }
             let is_met = self.last.missing == 0 && self.next.is_none();
@@ -244,10 +218,8 @@ impl Session {
         let (hidden, allowance, blends) = (&self.hidden, self.allowance(), self.blends);
         let all = Wish { views, hidden, allowance, blends, only: None };
         let is_first = self.is_first();
-        self.is_trial = self.next.as_ref().is_some_and(|next| {
-            let is_late = now >= next.since + Self::ADOPT_WITHIN;
-            next.is_ready || is_late || is_first
-        });
+        let may_be_shown = |next: &Coming| next.is_ready() || next.is_late(now) || is_first;
+        self.is_trial = self.next.as_ref().is_some_and(may_be_shown);
         let mut visited = 0;
         match &mut self.next {
             Some(Coming { showing: Showing { scene, found }, .. }) if self.is_trial => {
@@ -258,19 +230,21 @@ impl Session {
                 let Showing { scene, found } = &mut self.shown;
                 search(scene, &mut self.memo, all, found);
                 visited += found.visited;
-                if let Some(Coming { showing, newcomers: Some(places), .. }) = next {
-                    let only = Some(Only { places, tolerance_px: found.tolerance_px });
-                    search(
-                        &showing.scene,
-                        &mut self.memo,
-                        Wish { only, ..all },
-                        &mut showing.found,
-                    );
-                    visited += showing.found.visited;
+                if let Some(next) = next {
+                    visited += next.search(&mut self.memo, all, found.tolerance_px);
                 }
             }
         }
         self.engine.visited.fetch_add(visited as u64, Relaxed);
+    }
+
+    /// Searches what is shown, for the views that were searched for last.
+    fn search_shown(&mut self) {
+        let (hidden, allowance, blends) = (&self.hidden, self.allowance(), self.blends);
+        let wish = Wish { views: &self.views, hidden, allowance, blends, only: None };
+        let Showing { scene, found } = &mut self.shown;
+        search(scene, &mut self.memo, wish, found);
+        self.engine.visited.fetch_add(found.visited as u64, Relaxed);
     }
 
     /// Whether nothing was ever shown.
@@ -297,41 +271,67 @@ impl Session {
             self.next = None;
             return;
         }
-        // The clock runs from the first change that is not shown yet.
-        let (since, found) = match self.next.take() {
-            Some(next) => (next.since, next.showing.found),
-            None => (now, Found::default()),
-        };
-        let newcomers = scene.newcomers(&self.shown.scene);
-        // Where others have moved, only a trial can tell.
-        let is_ready = newcomers.as_ref().is_none_or(Vec::is_empty);
-        let showing = Showing { scene, found };
-        self.next = Some(Coming { since, showing, newcomers, lacks: Vec::new(), is_ready });
+        self.next = Some(Coming::new(scene, &self.shown.scene, self.next.take(), now));
     }
 
-    /// Turns what was found into a selection and into requests.
-    fn select(&mut self, store: &mut Store, now: Instant) {
-        let mut requests = Vec::new();
-        let matched = if self.is_trial {
-            let Some(after) = self.try_next(store, &mut requests, now) else {
-                // What it lacks comes after what the picture lacks. The picture stays for a frame.
-                store.append_requests(self.number, requests);
-                return;
-            };
-            after
-        } else {
-            let Showing { scene, found } = &self.shown;
-            let matched = self.matcher.compare(scene, found, store, &mut requests);
-            if let Some(Coming { showing, lacks, is_ready, .. }) = &mut self.next {
-                let mut others = Vec::new();
-                self.matcher.expect(&showing.scene, &showing.found, store, &mut others);
-                lacks.retain(|request| !store.is_settled(request));
-                *is_ready = others.is_empty() && lacks.is_empty();
-                requests.append(&mut others);
-                requests.extend(lacks.iter().cloned());
+    /// Matches what was found with what is there, selects from it, and asks for the rest; whether `lock` gave
+    /// the tables.
+    fn settle_on<'a>(
+        &mut self,
+        lock: impl Fn() -> Option<MutexGuard<'a, Store>>,
+        now: Instant,
+    ) -> bool {
+        let Some(mut store) = lock() else { return false };
+        let mut trial = None;
+        if let Some(next) = self.next.as_ref().filter(|_| self.is_trial) {
+            let Showing { scene, found } = &next.showing;
+            let mut requests = Vec::new();
+            let after = self.matcher.compare(scene, found, &mut store, &mut requests);
+            // In a view that has hardly moved, the picture lacks what it lacked a frame ago.
+            let is_steady = self.motion.is_steady(scene.radii()[0].0);
+            let is_as_whole = is_steady && after.missing <= self.last.missing;
+            if after.missing == 0 || is_as_whole || self.is_first() || next.is_late(now) {
+                self.adopt();
+                self.select(&mut store, after, requests, now);
+                return true;
             }
-            matched
-        };
+            // Which of both states lacks more, the same view has to tell.
+            drop(store);
+            self.search_shown();
+            let Some(again) = lock() else { return false };
+            (store, trial) = (again, Some((after, requests)));
+        }
+        let mut requests = Vec::new();
+        let Showing { scene, found } = &self.shown;
+        let matched = self.matcher.compare(scene, found, &mut store, &mut requests);
+        match (trial, &mut self.next) {
+            (Some((after, others)), _) if after.missing <= matched.missing => {
+                self.adopt();
+                self.select(&mut store, after, others, now);
+                return true;
+            }
+            (Some((_, others)), Some(next)) => {
+                next.fail(&others);
+                // What the picture lacks comes before what the next one will.
+                requests.extend(others);
+            }
+            (_, Some(next)) => next.ask(&mut self.matcher, &store, &mut requests),
+            (_, None) => {}
+        }
+        self.select(&mut store, matched, requests, now);
+        true
+    }
+
+    /// Shows what was to be shown next.
+    fn adopt(&mut self) {
+        if let Some(next) = self.next.take() {
+            self.shown = next.showing;
+            self.memo.keep(|number| self.shown.scene.place(number).is_some());
+        }
+    }
+
+    /// Turns what there is of what was found into a selection, and what there is not into requests.
+    fn select(&mut self, store: &mut Store, matched: Match, requests: Vec<Request>, now: Instant) {
         let Showing { found, .. } = &self.shown;
         let Match { pages, roots: mut pinned, beneath, missing, failed, mut error_px, .. } =
             matched;
@@ -386,30 +386,6 @@ impl Session {
             wanted: found.wanted.len(),
             culled: found.culled,
         });
-    }
-
-    /// What there is of the state to be shown next, which is shown from now on; or `None` if it lacks more
-    /// than the picture does, so that something would flash up, and there is time left.
-    fn try_next(
-        &mut self,
-        store: &mut Store,
-        requests: &mut Vec<Request>,
-        now: Instant,
-    ) -> Option<Match> {
-        let is_first = self.is_first();
-        let mut next = self.next.take()?;
-        let Showing { scene, found } = &next.showing;
-        let after = self.matcher.compare(scene, found, store, requests);
-        let is_late = now >= next.since + Self::ADOPT_WITHIN;
-        if after.missing <= self.last.missing || is_first || is_late {
-            self.shown = next.showing;
-            self.memo.keep(|number| self.shown.scene.place(number).is_some());
-            return Some(after);
-        }
-        next.lacks.clone_from(requests);
-        next.is_ready = false;
-        self.next = Some(next);
-        None
     }
 
     /// Counts what is wanted now and was not before.

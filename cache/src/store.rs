@@ -129,6 +129,7 @@ pub(crate) struct Store {
     ahead_bytes: usize,
     /// What media are to be told next.
     advice: Vec<Request>,
+    is_advising: bool,
     /// What they have been told, and has not been loaded since.
     advised: LruCache<PageName, (), FxBuildHasher>,
     /// Whether the next load has to wait for memory that nothing under way will free.
@@ -153,6 +154,7 @@ impl Store {
             limits,
             ahead_bytes: 0,
             advice: Vec::new(),
+            is_advising: false,
             advised: LruCache::with_hasher(Self::ADVISED, FxBuildHasher),
             stalled: false,
             stats: Stats { budget_bytes, ..Stats::default() },
@@ -192,6 +194,12 @@ impl Store {
         (Instant::now() < failure.again).then_some(&failure.error)
     }
 
+    /// Whether something is not there, or not known to be, and may be had.
+    pub(crate) fn needs_load(&self, work: Work) -> bool {
+        let is_there = matches!(work, Work::Texels(name) if self.holds(name));
+        !is_there && self.error(work).is_none()
+    }
+
     /// Whether nothing more will come of a request: it is there, or cannot be had.
     pub(crate) fn is_settled(&self, request: &Request) -> bool {
         let is_there = match request.work {
@@ -218,13 +226,6 @@ impl Store {
         self.stalled = false;
     }
 
-    /// Asks for more, behind what a session asks for.
-    pub(crate) fn append_requests(&mut self, session: u64, requests: Vec<Request>) {
-        let queue = self.queues.entry(session).or_default();
-        queue.wanted.extend(requests.iter().map(|request| request.work));
-        queue.requests.extend(requests);
-    }
-
     /// Replaces what a session expects to ask for; one that is gone expects nothing.
     pub(crate) fn replace_ahead(&mut self, session: u64, requests: Vec<Request>) {
         let Some(queue) = self.queues.get_mut(&session) else { return };
@@ -245,9 +246,19 @@ impl Store {
         }
     }
 
-    /// What media are to be told, once.
+    /// What media are to be told, once; none while they are told of others.
     pub(crate) fn take_advice(&mut self) -> Vec<Request> {
-        std::mem::take(&mut self.advice)
+        if self.is_advising {
+            return Vec::new();
+        }
+        let advice = std::mem::take(&mut self.advice);
+        self.is_advising = !advice.is_empty();
+        advice
+    }
+
+    /// Media have been told.
+    pub(crate) fn end_advice(&mut self) {
+        self.is_advising = false;
     }
 
     /// Holds on to roots, of all sessions a tenth of the budget at most.

@@ -88,6 +88,8 @@ struct Candidate {
     least: f64,
 }
 
+const _: () = assert!(size_of::<Node>() == 64);
+
 impl Node {
     /// The index that no child has.
     const LEAF: u32 = u32::MAX;

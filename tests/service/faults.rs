@@ -6,12 +6,13 @@ use std::net::Shutdown;
 use std::os::unix::fs::FileExt as _;
 use std::time::{Duration, Instant};
 
+use areoid_cache::service::Service;
 use areoid_formats::address::{Level, PageAddress};
 use areoid_formats::archive::Payload;
 use areoid_formats::catalog::Catalog;
 use proptest::prelude::*;
 
-use super::rig::{Answer, LONG, Serving, ask, connect, eventually, exchange};
+use super::rig::{Answer, LONG, Place, Serving, ask, connect, eventually, exchange, get};
 
 /// Where the stored pages of the subject lie, as their paths behind its own, and offsets.
 fn stored(serving: &Serving) -> Vec<(String, u64)> {
@@ -49,6 +50,22 @@ fn a_damaged_page_fails_and_no_other() {
     // Nothing of it was kept: repaired, it is served.
     file.write_all_at(&byte, *at).unwrap();
     assert_eq!(serving.get(&format!("{pages}/{victim}")).status, 200);
+}
+
+#[test]
+fn an_archive_that_was_cut_before_is_told() {
+    let whole = Serving::new().get("/v1/catalog").json();
+    assert!(whole["datasets"][0].get("damage").is_none());
+    let place = Place::new();
+    let archive = OpenOptions::new().write(true).open(place.archive()).unwrap();
+    let length = archive.metadata().unwrap().len();
+    archive.set_len(length - 5000).unwrap();
+    let service = Service::start(&place.options()).unwrap();
+    let cut = get(service.public(), "/v1/catalog").json();
+    let damage = cut["datasets"][0]["damage"].as_str().unwrap();
+    let found = format!("of {length} bytes it has {}", length - 5000);
+    assert!(damage.ends_with(&found), "{damage}");
+    assert!(!damage.contains(place.archive().parent().unwrap().to_str().unwrap()), "{damage}");
 }
 
 #[test]

@@ -12,7 +12,7 @@ use super::rig::{self, Tiny};
 const DATASETS: usize = 60;
 
 /// Beside three streams, the program's own and those of its threads.
-const DESCRIPTORS: usize = 40;
+const DESCRIPTORS: usize = 20;
 
 /// What `areoid` prints with so few descriptors.
 fn run(command: &str, catalog: &Path, options: &[&str]) -> Value {

@@ -11,6 +11,7 @@ use areoid_formats::catalog::{Catalog, CatalogError, DatasetRecord};
 use bytes::Bytes;
 use hyper::header::HeaderValue;
 use serde_json::{Value, json};
+use tracing::warn;
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::answer::tag;
@@ -44,6 +45,17 @@ impl Served {
         json["content"] = json!(record.content);
         json["file"] = json!(record.file);
         json["temporary"] = json!(temporary);
+        if let Some(found) =
+            archive.as_ref().ok().map(Archive::len).filter(|&len| len != record.bytes)
+        {
+            let (file, expected) = (&record.file, record.bytes);
+            warn!(
+                file,
+                found, expected, "an archive is not as long as it was when it was published"
+            );
+            json["damage"] =
+                json!(format!("{file} is damaged: of {expected} bytes it has {found}"));
+        }
         Arc::new(Self { serial: SERIALS.fetch_add(1, Relaxed), record, archive, temporary, json })
     }
 }

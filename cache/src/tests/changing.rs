@@ -45,6 +45,47 @@ fn a_replaced_dataset_is_drawn_until_the_new_one_is_there() {
     assert_eq!(after.pages.len(), before.pages.len());
 }
 
+/// What is replaced out of sight of where the view leapt is not taken for whole where it leaps back to,
+/// because more was missing there.
+#[test]
+fn a_leap_to_and_fro_leaves_no_hole() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let [old, new] = [(); 2].map(|()| Gated::new("cap", cap(), Kind::Height));
+    for dataset in [&globe, &new] {
+        // What is wanted is known at once.
+        dataset.archive.entries().unwrap();
+    }
+    let cache = globe.cache(PLENTY, 2);
+    cache.insert(old.info.clone(), Arc::clone(&old.archive) as _).unwrap();
+    let mut session = cache.session();
+    session.look_ahead = false;
+    let pole = view(0.0, 88.0, 3e5, 0.0);
+    let elsewhere = View { tolerance_px: 0.05, ..view(90.0, -30.0, 3e5, 0.0) };
+    let before = session.settle(&pole);
+    assert_eq!(numbers(&before), BTreeSet::from([0, 1]));
+    let of_cap = before.pages.iter().filter(|page| page.dataset == 1).count();
+
+    globe.gate.allow(Some(0));
+    cache.insert(new.info.clone(), Arc::clone(&new.archive) as _).unwrap();
+    new.gate.allow(Some(0));
+    let start = Instant::now();
+    for _ in 0..4 {
+        let now = session.update(&pole);
+        let there = [session.update(&elsewhere), session.update(&elsewhere)];
+        let back = session.update(&pole);
+        if start.elapsed() < Session::ADOPT_WITHIN {
+            assert!(there[0].missing > of_cap, "{} {of_cap}", there[0].missing);
+            for selection in [now, back] {
+                assert_eq!((numbers(&selection), selection.missing), (BTreeSet::from([0, 1]), 0));
+            }
+        }
+    }
+    globe.gate.allow(None);
+    new.gate.allow(None);
+    let after = session.settle(&pole);
+    assert_eq!((numbers(&after), after.missing), (BTreeSet::from([0, 2]), 0));
+}
+
 /// Nothing is read of what a user has switched off, and it is there again when it is switched on.
 #[test]
 fn what_is_hidden_is_not_loaded() {

@@ -45,6 +45,11 @@ impl Arrangement {
         usize::from(self == Self::Wall)
     }
 
+    /// The place of the view after whose axes the light of one falls: a wall has one light.
+    pub(super) fn lit_as(self, place: usize) -> usize {
+        if self == Self::Wall { self.middle() } else { place }
+    }
+
     /// Which of two poses the view at a place from the left shows.
     pub(super) fn pose_of(self, place: usize) -> usize {
         if self == Self::SideBySide { place } else { 0 }

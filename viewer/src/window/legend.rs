@@ -123,7 +123,9 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
             }
         }
         for (probe, (_, color)) in found.iter().zip(excesses) {
-            assert_eq!(probe.of_excess.map(|light| code(light.into())), color, "{probe:?}");
+            for (light, truth) in probe.of_excess.into_iter().zip(color) {
+                assert!(code(light.into()).abs_diff(truth) <= 1, "{probe:?}, {color:?}");
+            }
         }
     }
 

@@ -22,7 +22,7 @@ use super::settings::Settings;
 use super::{WindowError, WindowOptions};
 use crate::camera::pixel_angle;
 use crate::orbit::Orbit;
-use crate::render::{Image, Renderer};
+use crate::render::{Image, Options, Renderer};
 
 /// How often a window at rest looks whether pages came while some are missing, and while none is.
 const POLL_BUSY: Duration = Duration::from_millis(16);
@@ -171,7 +171,11 @@ impl<H: Host> Viewer<H> {
         let mut saved = std::mem::take(&mut stage.saves_picture).then(Vec::new);
         for (place, view) in views.iter().enumerate() {
             let orbit = &self.orbits[self.settings.arrangement.pose_of(place)];
-            let [right, up] = [view.orientation.x_axis, view.orientation.y_axis];
+            let lit = &views[self.settings.arrangement.lit_as(place)];
+            let [right, up] = [lit.orientation.x_axis, lit.orientation.y_axis];
+            // What a frame may write the first view has written: all show the same pages.
+            let left_bytes = if place == 0 { options.upload_limit_bytes } else { 0 };
+            let options = Options { upload_limit_bytes: left_bytes, ..options.clone() };
             let light = self.settings.light(orbit.focus(), right, up);
             let drawn = stage.renderer.render(view, selection, &light, &options);
             if let Some(picture) = stage.renderer.picture() {

@@ -23,8 +23,8 @@ use crate::bench::report::{Chapter, Relation, Spread, Table, Target, cores};
 use crate::failure::Failure;
 use crate::output;
 
-/// Width of what is inserted at full size: 100 megapixels, twice as wide as high.
-const FULL_WIDTH: u32 = 14_142;
+/// Width of what is inserted at full size: 100 megapixels, twice as wide as high. It has to halve evenly.
+const FULL_WIDTH: u32 = 14_208;
 
 /// The 99th percentile during an insertion over that without one.
 const MOST_P99: f64 = 2.0;
@@ -48,7 +48,7 @@ pub(in super::super) fn measure(outside: &Outside<'_>) -> Result<Chapter, Failur
     let folder = outside.work("live");
     let (catalog, rasters) = (folder.join("catalog"), folder.join("rasters"));
     fs::create_dir_all(&catalog)?;
-    let width = outside.setting.count(FULL_WIDTH).max(512) / 16 * 16;
+    let width = outside.setting.count(FULL_WIDTH).max(512) / 64 * 64;
     let raster = Recipe::tiled(Look::Height, (width, width / 2)).make(&rasters)?;
     pages::make(outside, SIZES[0], &catalog)?;
     let pages = pages::export(&catalog, SIZES[0], &folder.join("files"))?;
