@@ -5,10 +5,8 @@
 //! ```
 //!
 //! Along the ground a wave is nowhere shorter than its wavelength, and nothing is sampled twice. With each
-//! direction come those a quarter, a half and three quarters of a turn about the axis from it: a
-//! meridian is met by the same directions as those that lie like it on a map about a pole, so that poles
-//! and antimeridian are like other places. Positions are closed forms of the maps written down here,
-//! none of the program's own.
+//! direction come those a quarter, a half and three quarters of a turn about the axis from it.
+//! Positions are closed forms of the maps written down here, none of the program's own.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -45,6 +43,12 @@ impl Waves {
             )
         };
         Self { waves: (0..WAVES).map(wave).collect() }
+    }
+
+    /// The field a quarter of a turn east of this.
+    pub(super) fn turned(&self) -> Self {
+        let turned = |&([x, y, z], phase): &([f64; 3], f64)| ([-y, x, z], phase);
+        Self { waves: self.waves.iter().map(turned).collect() }
     }
 
     /// The field at a place on the sphere, in meters.

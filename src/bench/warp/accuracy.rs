@@ -1,6 +1,6 @@
 //! How far resampled waves are from the waves.
 
-use std::f64::consts::PI;
+use std::f64::consts::{FRAC_PI_2, PI};
 use std::fs;
 use std::io;
 use std::path::Path;
@@ -20,6 +20,7 @@ pub(super) const WAVELENGTHS_PX: [f64; 5] = [273.0, 16.0, 8.0, 4.0, 2.5];
 
 /// Where errors are summed up.
 pub(super) const ZONES: [&str; 3] = ["elsewhere", "pole", "antimeridian"];
+const SEAM: usize = 2;
 
 /// So near a pole is at the pole, in degrees.
 const POLE_DEG: f64 = 2.0;
@@ -30,15 +31,18 @@ const SEAM_PX: f64 = 8.0;
 /// Places like that at the pole, in degrees: as large, about these parallels, so far apart along them.
 const LIKE_POLE_DEG: ([f64; 8], f64) = ([86.0, 80.0, 70.0, 60.0, 50.0, 40.0, 30.0, 20.0], 45.0);
 
-/// Places like the antimeridian: as wide, so far apart in degrees.
-const LIKE_SEAM_DEG: f64 = 10.0;
+/// The meridian that a quarter of a turn carries the antimeridian to, in radians. It carries maps and
+/// pixels over into themselves: of a field turned with them, errors are to be the same there.
+const LIKE_SEAM: f64 = -FRAC_PI_2;
 
 /// Errors of a zone, in percent of the signal's strength; the mean of no texels is NaN.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub(super) struct Errors {
     pub(super) rms: f64,
     pub(super) max: f64,
-    /// The largest root mean square of a place like it elsewhere; NaN of elsewhere itself.
+    /// The largest root mean square of a place like the pole elsewhere, or that at the meridian that lies like
+    /// the antimeridian, of a field that lies there as it does here; NaN of elsewhere itself, and of other
+    /// programs' antimeridian.
     pub(super) like_it: f64,
     pub(super) texels: u64,
     /// Texels without a value where the source has data all around.
@@ -61,24 +65,33 @@ pub(super) fn measure(
     for (at, &wavelength) in WAVELENGTHS_PX.iter().enumerate() {
         let (place, size) = direction.source;
         let waves = Waves::new(wavelength * place.pixel_rad(size));
-        write(&raster, direction.source, &waves)?;
-        let truth = Truth::new(direction, &waves);
-        for (&way, found) in ways.iter().zip(&mut all) {
-            let command = direction.command(setting, way, &raster, &out);
-            let (Some(mut command), Some(found)) = (command, found.as_mut()) else {
-                *found = None;
-                continue;
-            };
-            let done = command.stdin(Stdio::null()).stdout(Stdio::null()).status()?;
-            if !done.success() {
-                return Err(io::Error::other(format!("{} failed", way.name())));
+        for (is_turned, waves) in [(false, waves.clone()), (true, waves.turned())] {
+            write(&raster, direction.source, &waves)?;
+            let truth = Truth::new(direction, &waves);
+            for (&way, found) in ways.iter().zip(&mut all) {
+                if is_turned && way.program != Program::Areoid {
+                    continue;
+                }
+                let command = direction.command(setting, way, &raster, &out);
+                let (Some(mut command), Some(found)) = (command, found.as_mut()) else {
+                    *found = None;
+                    continue;
+                };
+                let done = command.stdin(Stdio::null()).stdout(Stdio::null()).status()?;
+                if !done.success() {
+                    return Err(io::Error::other(format!("{} failed", way.name())));
+                }
+                let samples = match way.program {
+                    Program::Areoid => headerless(&fs::read(&out)?),
+                    Program::GdalWarp | Program::Python => tiff(&out, direction.target.1)?,
+                };
+                fs::remove_file(&out)?;
+                if is_turned {
+                    found[at][SEAM].like_it = truth.like_the_seam(&samples);
+                } else {
+                    found[at] = truth.errors(way.program, &samples);
+                }
             }
-            let samples = match way.program {
-                Program::Areoid => headerless(&fs::read(&out)?),
-                Program::GdalWarp | Program::Python => tiff(&out, direction.target.1)?,
-            };
-            fs::remove_file(&out)?;
-            found[at] = truth.errors(way.program, &samples);
         }
     }
     fs::remove_dir_all(&folder)?;
@@ -122,8 +135,9 @@ struct Truth {
 struct At {
     /// In [`ZONES`]; past it where the source need not show anything.
     zone: u8,
-    /// Elsewhere: which place like the pole and like the antimeridian it is in, if any.
-    like: [Option<u8>; 2],
+    /// Elsewhere: which place like the pole it is in, if any.
+    like_pole: Option<u8>,
+    like_seam: bool,
 }
 
 impl Truth {
@@ -145,8 +159,8 @@ impl Truth {
     fn errors(&self, program: Program, samples: &[f32]) -> [Errors; ZONES.len()] {
         assert_eq!(samples.len(), self.heights.len(), "as many samples as the target has texels");
         let mut found = [Errors::default(); ZONES.len()];
-        // Squares and texels of places like the pole, and of those like the antimeridian.
-        let mut like = [[(0.0, 0.0_f64); 256]; 2];
+        // Squares and texels of places like the pole.
+        let mut like = [(0.0, 0.0_f64); 256];
         for ((&height, at), &sample) in self.heights.iter().zip(&self.places).zip(samples) {
             let Some(errors) = found.get_mut(usize::from(at.zone)) else { continue };
             // GDAL leaves 0 where it finds nothing; here it is a height.
@@ -158,22 +172,30 @@ impl Truth {
             errors.texels += 1;
             errors.rms += error * error;
             errors.max = errors.max.max(error);
-            for (like, place) in like.iter_mut().zip(at.like) {
-                if let Some((squares, texels)) = place.map(|place| &mut like[usize::from(place)]) {
-                    *squares += error * error;
-                    *texels += 1.0;
-                }
+            if let Some((squares, texels)) = at.like_pole.map(|place| &mut like[usize::from(place)])
+            {
+                *squares += error * error;
+                *texels += 1.0;
             }
         }
         for errors in &mut found {
             errors.rms = (errors.rms / errors.texels as f64).sqrt();
             errors.like_it = f64::NAN;
         }
-        for (errors, like) in found[1..].iter_mut().zip(like) {
-            let rms = like.iter().map(|(squares, texels)| (squares / texels).sqrt());
-            errors.like_it = rms.fold(f64::NAN, f64::max);
-        }
+        let rms = like.iter().map(|(squares, texels)| (squares / texels).sqrt());
+        found[1].like_it = rms.fold(f64::NAN, f64::max);
         found
+    }
+
+    /// The root mean square at the meridian that lies like the antimeridian, in percent.
+    fn like_the_seam(&self, samples: &[f32]) -> f64 {
+        let texels = self.heights.iter().zip(&self.places).zip(samples);
+        let there = texels.filter(|((_, at), sample)| at.like_seam && !sample.is_nan());
+        let (squares, count) = there.fold((0.0, 0.0), |(squares, count), ((height, _), sample)| {
+            let error = 100.0 * (f64::from(*sample) - height) / STRENGTH_M;
+            (squares + error * error, count + 1.0)
+        });
+        (squares / count).sqrt()
     }
 }
 
@@ -226,15 +248,13 @@ fn at(position: Position, seam: f64, like_pole: &[[f64; 3]]) -> At {
         () => 0,
     };
     if zone != 0 {
-        return At { zone, like: [None; 2] };
+        return At { zone, like_pole: None, like_seam: false };
     }
     let here = position.vector();
     let near = POLE_DEG.to_radians().cos();
     let dot = |there: &[f64; 3]| here.iter().zip(there).map(|(a, b)| a * b).sum::<f64>();
     let pole = like_pole.iter().position(|there| dot(there) > near);
-    let steps = (position.longitude.to_degrees() / LIKE_SEAM_DEG).round();
-    let off = (position.longitude - (steps * LIKE_SEAM_DEG).to_radians()) * position.latitude.cos();
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0 to 36")]
-    let seam = (off.abs() < seam).then_some((steps + 180.0 / LIKE_SEAM_DEG) as u8);
-    At { zone, like: [pole.and_then(|place| u8::try_from(place).ok()), seam] }
+    let off = (position.longitude - LIKE_SEAM) * position.latitude.cos();
+    let like_pole = pole.and_then(|place| u8::try_from(place).ok());
+    At { zone, like_pole, like_seam: off.abs() < seam }
 }
