@@ -111,12 +111,17 @@ impl Atlas {
 
     fn grow(&mut self, gpu: &Gpu, uploads: &mut Uploads) {
         let layers = (2 * self.layers).min(self.most_layers);
-        let encoder = uploads.encoder(gpu);
+        // What was written comes first, by itself: within one encoder its layers would each be in another
+        // state, and wgpu copies no texture whose layers are in more than two.
+        uploads.submit(gpu);
+        let descriptor = wgpu::CommandEncoderDescriptor { label: Some("grow an atlas") };
+        let mut encoder = gpu.device.create_command_encoder(&descriptor);
         for (plane, old) in self.planes.iter().zip(&mut self.textures) {
             let new = texture(gpu, plane, self.side, layers);
             encoder.copy_texture_to_texture(old.as_image_copy(), new.as_image_copy(), old.size());
             *old = new;
         }
+        gpu.queue.submit([encoder.finish()]);
         self.slots.grow(layers);
         self.layers = layers;
     }

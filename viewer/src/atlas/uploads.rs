@@ -75,11 +75,6 @@ impl Uploads {
         Self { ring, encoder: None, bytes: 0, row: Vec::new() }
     }
 
-    /// Where to put commands that belong between what was written and what will be.
-    pub(crate) fn encoder(&mut self, gpu: &Gpu) -> &mut wgpu::CommandEncoder {
-        begun(&mut self.encoder, gpu)
-    }
-
     /// Writes a layer of a texture, row by row: `fill` appends the bytes of a row.
     pub(crate) fn write(
         &mut self,
@@ -112,7 +107,11 @@ impl Uploads {
             ..texture.as_image_copy()
         };
         let size = wgpu::Extent3d { width: side, height: side, depth_or_array_layers: 1 };
-        begun(&mut self.encoder, gpu).copy_buffer_to_texture(source, target, size);
+        let descriptor = wgpu::CommandEncoderDescriptor { label: Some("uploads") };
+        let encoder = &mut self.encoder;
+        encoder
+            .get_or_insert_with(|| gpu.device.create_command_encoder(&descriptor))
+            .copy_buffer_to_texture(source, target, size);
         self.bytes += bytes.get();
         if self.bytes >= Self::KEPT_BYTES {
             self.submit(gpu);
@@ -129,14 +128,6 @@ impl Uploads {
         }
         self.bytes = 0;
     }
-}
-
-fn begun<'a>(
-    encoder: &'a mut Option<wgpu::CommandEncoder>,
-    gpu: &Gpu,
-) -> &'a mut wgpu::CommandEncoder {
-    let descriptor = wgpu::CommandEncoderDescriptor { label: Some("uploads") };
-    encoder.get_or_insert_with(|| gpu.device.create_command_encoder(&descriptor))
 }
 
 #[cfg(test)]
