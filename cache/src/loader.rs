@@ -133,7 +133,8 @@ impl Shared {
         }
     }
 
-    /// Starts as many loads as may run, looks ahead, and tells media what may come. For whoever can wait for threads to be started.
+    /// Starts as many loads as may run, looks ahead, and tells media what may come. For whoever can wait
+    /// for threads to be started.
     pub(crate) fn start(self: &Arc<Self>, runtime: &Handle) {
         while let Some(request) = self.next() {
             let shared = Arc::clone(self);

@@ -234,8 +234,12 @@ impl Store {
         queue.ahead = requests.into();
     }
 
-    /// Notes what media are to be told of: pages that will probably be asked for, each once.
+    /// Notes what media are to be told of: pages that will probably be asked for, each once; nothing while
+    /// one is slow to hear what it is told.
     pub(crate) fn advise(&mut self, requests: impl IntoIterator<Item = Request>) {
+        if self.is_advising {
+            return;
+        }
         for request in requests {
             if let Work::Texels(name) = request.work
                 && self.advised.put(name, ()).is_none()
