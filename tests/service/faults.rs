@@ -4,20 +4,29 @@ use std::fs::{self, OpenOptions};
 use std::io::{Read as _, Write as _};
 use std::net::Shutdown;
 use std::os::unix::fs::FileExt as _;
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use areoid_cache::service::Service;
 use areoid_formats::address::{Level, PageAddress};
-use areoid_formats::archive::Payload;
+use areoid_formats::archive::{Archive, Payload};
 use areoid_formats::catalog::Catalog;
 use proptest::prelude::*;
+use tiff::encoder::TiffEncoder;
+use tiff::encoder::colortype::Gray16;
 
-use super::rig::{Answer, LONG, Place, Serving, ask, connect, eventually, exchange, get};
+use super::rig::{
+    Answer, EQUIRECTANGULAR, LONG, Place, Serving, ask, connect, eventually, exchange, get,
+};
 
 /// Where the stored pages of the subject lie, as their paths behind its own, and offsets.
 fn stored(serving: &Serving) -> Vec<(String, u64)> {
     let (_, archives) = Catalog::open_with_archives(&serving.place.catalog()).unwrap();
-    let entries = archives[0].entries().unwrap();
+    stored_in(&archives[0])
+}
+
+fn stored_in(archive: &Archive) -> Vec<(String, u64)> {
+    let entries = archive.entries().unwrap();
     let stored = entries.iter().filter_map(|entry| match entry.payload {
         Payload::Record { offset, length, .. } => {
             let PageAddress { level: Level(level), row, col } = entry.page;
@@ -50,6 +59,53 @@ fn a_damaged_page_fails_and_no_other() {
     // Nothing of it was kept: repaired, it is served.
     file.write_all_at(&byte, *at).unwrap();
     assert_eq!(serving.get(&format!("{pages}/{victim}")).status, 200);
+}
+
+/// Large pages in memory are sent from their archive where the system can; not from one that was touched.
+#[test]
+fn what_is_in_memory_is_served_whatever_becomes_of_its_archive() {
+    let serving = Serving::new();
+    let raster = serving.place.path("noise.tif");
+    let mut state = 1_u32;
+    let mut noise = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 16) as u16
+    };
+    let heights: Vec<u16> = (0..1024 * 512).map(|_| noise()).collect();
+    let mut encoder = TiffEncoder::new(fs::File::create(&raster).unwrap()).unwrap();
+    encoder.write_image::<Gray16>(1024, 512, &heights).unwrap();
+    let mut ingest = Command::new(env!("CARGO_BIN_EXE_areoid"));
+    ingest.arg("ingest").arg(raster).arg("--catalog").arg(serving.place.catalog());
+    ingest.args(["--crs", EQUIRECTANGULAR, "--body", "mars"]);
+    ingest.args(["--extent", "-10669445.6,-5334722.8,10669445.6,5334722.8"]);
+    assert!(ingest.output().unwrap().status.success());
+    eventually("it is served", || serving.names().contains(&"noise".to_owned()));
+
+    let (_, archives) = Catalog::open_with_archives(&serving.place.catalog()).unwrap();
+    let all = serving.get("/v1/catalog").json();
+    let mut datasets = all["datasets"].as_array().unwrap().iter().zip(&archives);
+    let (dataset, archive) = datasets.find(|(dataset, _)| dataset["name"] == "noise").unwrap();
+    let word = |key: &str| dataset[key].as_str().unwrap().to_owned();
+    let (content, file) = (word("content"), word("file"));
+    let pages = stored_in(archive);
+    let get = || -> Vec<Vec<u8>> {
+        let path = |page: &String| format!("/v1/pages/noise/{content}/{page}");
+        pages.iter().map(|(page, _)| serving.get(&path(page)).body).collect()
+    };
+    let before = get();
+    let large = before.iter().filter(|body| body.len() > 400_000).count();
+    assert!(large > 1, "{large} of {}", before.len());
+    assert!(get() == before, "from the archive");
+    let path = serving.place.catalog().join("archives").join(file);
+    let archive = OpenOptions::new().write(true).open(&path).unwrap();
+    for (_, at) in &pages {
+        archive.write_all_at(&[0xa5; 64], *at).unwrap();
+    }
+    assert!(get() == before, "from one that was written to");
+    archive.set_len(pages[0].1).unwrap();
+    assert!(get() == before, "from one that was cut");
+    fs::remove_file(path).unwrap();
+    assert!(get() == before, "from none");
 }
 
 #[test]

@@ -15,6 +15,7 @@ use hyper::{Response, StatusCode};
 use serde_json::{Value, json};
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 
+use super::filed::{Filed, Known, Outbox};
 use super::watch::{Asked, Waiting};
 
 /// For what never changes under its URL.
@@ -30,6 +31,10 @@ pub(super) struct Content {
     from: From,
     permit: Option<Arc<OwnedSemaphorePermit>>,
     asked: Option<Arc<Asked>>,
+    /// Where its bytes are, if they are in a file, too.
+    filed: Option<Filed>,
+    /// Of the connection, if it can send from files.
+    outbox: Option<Arc<Outbox>>,
 }
 
 /// Bytes on their way to the client.
@@ -39,6 +44,7 @@ pub(super) struct Piece {
     _waiting: Option<Waiting>,
     _permit: Option<Arc<OwnedSemaphorePermit>>,
     _asked: Option<Arc<Asked>>,
+    _known: Option<Known>,
 }
 
 impl Buf for Piece {
@@ -66,7 +72,7 @@ pub(super) type Answer = Response<Content>;
 
 impl Content {
     fn new(from: From) -> Self {
-        Self { from, permit: None, asked: None }
+        Self { from, permit: None, asked: None, filed: None, outbox: None }
     }
 
     pub(super) fn whole(bytes: impl Into<Bytes>) -> Self {
@@ -82,13 +88,20 @@ impl Content {
         Self { permit: Some(Arc::new(permit)), ..self }
     }
 
-    /// Of a request that its connection watches.
-    pub(super) fn watched(self, asked: Arc<Asked>) -> Self {
-        Self { asked: Some(asked), ..self }
+    /// Of bytes in memory that are in a file, too.
+    pub(super) fn filed(self, filed: Option<Filed>) -> Self {
+        Self { filed, ..self }
     }
 
-    fn piece(&self, bytes: Bytes) -> Frame<Piece> {
+    /// Of a request that its connection watches, and which that sends from files if it can.
+    pub(super) fn watched(self, asked: Arc<Asked>, outbox: Option<Arc<Outbox>>) -> Self {
+        Self { asked: Some(asked), outbox, ..self }
+    }
+
+    fn piece(&mut self, bytes: Bytes) -> Frame<Piece> {
+        let filed = self.outbox.as_ref().zip(self.filed.take());
         Frame::data(Piece {
+            _known: filed.map(|(outbox, filed)| outbox.know(&bytes, filed)),
             _waiting: self.asked.as_ref().map(|asked| asked.piece(bytes.len())),
             _permit: self.permit.clone(),
             _asked: self.asked.clone(),

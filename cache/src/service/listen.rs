@@ -18,6 +18,7 @@ use tokio::time::{sleep, timeout};
 use tracing::{debug, trace};
 
 use super::answer::Answer;
+use super::filed::Outbox;
 use super::hub::{Hub, stopped};
 use super::lanes::{Counted, Handed, Lane};
 use super::stream::Patient;
@@ -170,10 +171,12 @@ where
     };
     let watch = Watch::new(limits.stalled);
     let watched = Arc::clone(&watch);
-    let io = TokioIo::new(Patient::new(stream, limits.stalled));
+    // HTTP/2 sends small pieces.
+    let outbox = (!is_http2).then(Arc::<Outbox>::default);
+    let io = TokioIo::new(Patient::new(stream, limits.stalled, outbox.clone()));
     let service = service_fn(move |request| {
-        let (asked, answer) = (watched.request(), respond(request));
-        async move { Ok::<_, Infallible>(answer.await.map(|content| content.watched(asked))) }
+        let (asked, outbox, answer) = (watched.request(), outbox.clone(), respond(request));
+        async move { Ok::<_, Infallible>(answer.await.map(|content| content.watched(asked, outbox))) }
     });
     // HTTP/1.1 has a clock of its own for headers.
     let idle = is_http2.then_some(limits.header);

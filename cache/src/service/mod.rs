@@ -11,6 +11,8 @@
 
 mod watch;
 
+mod filed;
+
 mod answer;
 
 mod snapshot;

@@ -13,6 +13,7 @@ use tokio::task::spawn_blocking;
 use tracing::debug;
 
 use super::answer::{self, Answer, Content, IMMUTABLE, tag, tagged};
+use super::filed::Origin;
 use super::hub::Hub;
 use super::snapshot::Served;
 use crate::words::in_words;
@@ -23,13 +24,14 @@ pub(super) struct StoredPage {
     headers: HeaderMap,
     tag: HeaderValue,
     bytes: Bytes,
+    origin: Option<Origin>,
 }
 
 impl StoredPage {
     /// What a page takes beside its bytes: headers, and its place in the table.
     const OVERHEAD_BYTES: u64 = 2048;
 
-    fn new(entry: &PageEntry, bytes: Vec<u8>) -> Self {
+    fn new(entry: &PageEntry, bytes: Vec<u8>, origin: Option<Origin>) -> Self {
         let mut headers = HeaderMap::new();
         let mut put = |name: &'static str, text: String| {
             let value = HeaderValue::try_from(text).expect("numbers are printable");
@@ -55,16 +57,17 @@ impl StoredPage {
             }
         };
         headers.insert(CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
-        Self { headers, tag, bytes: Bytes::from(bytes) }
+        Self { headers, tag, bytes: Bytes::from(bytes), origin }
     }
 
     pub(super) fn weight(&self) -> u64 {
         self.bytes.len() as u64 + Self::OVERHEAD_BYTES
     }
 
-    fn answer(&self, hub: &Hub, asked: &HeaderMap) -> Answer {
+    fn answer(&self, hub: &Hub, archive: &Archive, asked: &HeaderMap) -> Answer {
         hub.metrics.bytes.fetch_add(self.bytes.len() as u64, Relaxed);
-        let mut answer = Response::new(Content::whole(self.bytes.clone()));
+        let filed = self.origin.and_then(|origin| origin.now(archive, self.bytes.len()));
+        let mut answer = Response::new(Content::whole(self.bytes.clone()).filed(filed));
         *answer.headers_mut() = self.headers.clone();
         tagged(answer, asked, &self.tag, IMMUTABLE)
     }
@@ -106,14 +109,14 @@ pub(super) async fn page(hub: &Arc<Hub>, path: [&str; 5], asked: &HeaderMap) -> 
     let key = (served.serial, address);
     if let Some(page) = hub.pages.get(&key) {
         hub.metrics.hits.fetch_add(1, Relaxed);
-        return page.answer(hub, asked);
+        return page.answer(hub, archive, asked);
     }
     if archive.find_resident(address) == Some(None) {
         return empty();
     }
     let read = hub.pages.get_or_insert_async(&key, read(hub, &served, address)).await;
     match read {
-        Ok(page) => page.answer(hub, asked),
+        Ok(page) => page.answer(hub, archive, asked),
         Err(NoPage::Empty) => empty(),
         Err(error) => {
             hub.metrics.damaged.fetch_add(1, Relaxed);
@@ -157,5 +160,6 @@ async fn read(
 
 fn stored(archive: &Archive, page: PageAddress) -> Result<StoredPage, NoPage> {
     let entry = archive.find(page)?.ok_or(NoPage::Empty)?;
-    Ok(StoredPage::new(&entry, archive.payload(&entry)?))
+    let origin = Origin::of(archive, entry);
+    Ok(StoredPage::new(&entry, archive.payload(&entry)?, origin))
 }

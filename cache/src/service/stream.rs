@@ -2,12 +2,15 @@
 
 use std::io;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, Sleep, sleep_until};
+
+use super::filed::Outbox;
 
 /// A stream whose writes fail when nothing could be written for a while.
 ///
@@ -17,6 +20,8 @@ use tokio::time::{Instant, Sleep, sleep_until};
 pub(super) struct Patient {
     stream: TcpStream,
     patience: Duration,
+    /// What is to be sent from files, if it can be.
+    outbox: Option<Arc<Outbox>>,
     /// Until when the write that waits may, or the end.
     waiting: Option<Pin<Box<Sleep>>>,
     is_ending: bool,
@@ -26,8 +31,8 @@ pub(super) struct Patient {
 const LINGER: Duration = Duration::from_secs(5);
 
 impl Patient {
-    pub(super) fn new(stream: TcpStream, patience: Duration) -> Self {
-        Self { stream, patience, waiting: None, is_ending: false }
+    pub(super) fn new(stream: TcpStream, patience: Duration, outbox: Option<Arc<Outbox>>) -> Self {
+        Self { stream, patience, outbox, waiting: None, is_ending: false }
     }
 
     fn judge<T>(
@@ -72,7 +77,11 @@ impl AsyncWrite for Patient {
         context: &mut Context<'_>,
         parts: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        let written = Pin::new(&mut self.stream).poll_write_vectored(context, parts);
+        let this = &mut *self;
+        let written = match &this.outbox {
+            Some(outbox) if outbox.is_in_use() => outbox.poll_write(&this.stream, context, parts),
+            _ => Pin::new(&mut this.stream).poll_write_vectored(context, parts),
+        };
         self.judge(written, context)
     }
 

@@ -1,7 +1,8 @@
 //! Reading an archive: opened by its trailer, each structure proven when it is first touched.
 
+use std::fs::File;
 use std::ops::Range;
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use super::bytes::checksum;
 use super::description::{Description, Summary};
@@ -226,7 +227,7 @@ impl Archive {
             return Ok(Vec::new());
         };
         let what = "a page";
-        let start = offset.saturating_add(RECORD_HEAD_LEN as u64);
+        let start = payload_start(offset);
         let end = start.saturating_add(u64::from(length));
         if end > self.source.len() {
             return Err(ArchiveError::Truncated { what, start, end, len: self.source.len() });
@@ -246,9 +247,17 @@ impl Archive {
     /// Says that the stored bytes of a page will probably be read soon: [`ByteSource::advise`].
     pub fn advise(&self, entry: &PageEntry) {
         if let Payload::Record { offset, length, .. } = entry.payload {
-            let start = offset.saturating_add(RECORD_HEAD_LEN as u64);
+            let start = payload_start(offset);
             self.source.advise(start..start.saturating_add(u64::from(length)));
         }
+    }
+
+    /// The file that the stored bytes of a page are in, and where they begin, if it is open just now
+    /// ([`ByteSource::open_file`]); `None` for a constant one. They are proven by [`Self::payload`] alone.
+    #[must_use]
+    pub fn file_of(&self, entry: &PageEntry) -> Option<(Arc<File>, u64)> {
+        let Payload::Record { offset, .. } = entry.payload else { return None };
+        Some((self.source.open_file()?, payload_start(offset)))
     }
 
     /// The texels of a page.
@@ -397,6 +406,11 @@ impl Archive {
     pub(super) fn records(&self) -> Range<u64> {
         self.records.clone()
     }
+}
+
+/// Where the payload of a record lies.
+fn payload_start(record: u64) -> u64 {
+    record.saturating_add(RECORD_HEAD_LEN as u64)
 }
 
 /// The texels of a page from its stored bytes.

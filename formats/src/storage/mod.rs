@@ -6,6 +6,7 @@ use std::fmt;
 use std::fs::File;
 use std::io;
 use std::ops::Range;
+use std::sync::Arc;
 
 pub use pool::{Descriptors, PooledFile};
 
@@ -38,13 +39,19 @@ pub trait ByteSource: fmt::Debug + Send + Sync {
     fn advise(&self, range: Range<u64>) {
         let _ = range;
     }
+
+    /// The file that has these bytes, from its first on, if there is one and it is open just now. What is
+    /// read from it is what the medium holds by then.
+    fn open_file(&self) -> Option<Arc<File>> {
+        None
+    }
 }
 
 /// A file read by position, without a cursor and without a map: a file truncated underneath ends
 /// in an error, never in `SIGBUS`.
 #[derive(Debug)]
 pub struct FileSource {
-    file: File,
+    file: Arc<File>,
     len: u64,
 }
 
@@ -56,7 +63,7 @@ impl FileSource {
     /// If its length cannot be asked.
     pub fn new(file: File) -> io::Result<Self> {
         let len = file.metadata()?.len();
-        Ok(Self { file, len })
+        Ok(Self { file: Arc::new(file), len })
     }
 }
 
@@ -71,6 +78,10 @@ impl ByteSource for FileSource {
 
     fn advise(&self, range: Range<u64>) {
         advise(&self.file, range);
+    }
+
+    fn open_file(&self) -> Option<Arc<File>> {
+        Some(Arc::clone(&self.file))
     }
 }
 
@@ -135,6 +146,11 @@ mod tests {
             assert!(past, "{offset}: {error}");
         }
         assert_eq!((source.len(), source.is_empty()), (4, false));
+        if let Some(file) = source.open_file() {
+            let mut all = [0; 4];
+            read_exact_at(&file, &mut all, 0).unwrap();
+            assert_eq!(&all, b"abcd");
+        }
     }
 
     #[test]
@@ -166,9 +182,9 @@ mod tests {
         let at_once = |offset: u64| {
             let mut byte = [0];
             let mut buffers = [IoSliceMut::new(&mut byte)];
-            preadv2(&source.file, &mut buffers, offset, ReadWriteFlags::NOWAIT)
+            preadv2(&*source.file, &mut buffers, offset, ReadWriteFlags::NOWAIT)
         };
-        fadvise(&source.file, 0, None, Advice::DontNeed).unwrap();
+        fadvise(&*source.file, 0, None, Advice::DontNeed).unwrap();
         let far = 700_000;
         if at_once(far) != Err(Errno::AGAIN) {
             return;

@@ -128,6 +128,10 @@ impl ByteSource for PooledFile {
             advise(&file, range);
         }
     }
+
+    fn open_file(&self) -> Option<Arc<File>> {
+        self.pool.lock().files.get(&self.number).map(Arc::clone)
+    }
 }
 
 impl Drop for PooledFile {
@@ -195,6 +199,8 @@ mod tests {
         }
         // One that is open outlives its name, one that is not is an error of its own.
         byte(&files[4], 0).unwrap();
+        assert!(files[4].open_file().is_some());
+        assert!(files[5].open_file().is_none());
         (0..10).for_each(|number| fs::remove_file(path(number)).unwrap());
         assert_eq!(byte(&files[4], 1).unwrap(), 104);
         let error = byte(&files[5], 0).unwrap_err();
