@@ -130,8 +130,10 @@ impl Shot {
         })
     }
 
-    /// Nothing has to be loaded of what a style leaves out.
-    pub(crate) fn hide(&self, session: &mut Session, options: &Options) {
+    /// What a session has to know of the pictures: nothing is loaded of what a style leaves out.
+    pub(crate) fn prepare(&self, session: &mut Session, options: &Options) {
+        session.blends = true;
+        session.exaggerate(options.vertical_exaggeration);
         if self.style.is_some() {
             let style = options.style.clone();
             session.hide(move |info| style.hides(&info.name));

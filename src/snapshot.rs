@@ -81,8 +81,7 @@ impl Args {
         let gpu = Gpu::headless()?;
         let mut renderer = Renderer::new(&gpu, cache.body().ellipsoid);
         let mut session = cache.session();
-        session.blends = true;
-        self.shot.hide(&mut session, &options);
+        self.shot.prepare(&mut session, &options);
         let selection = session.settle(&view);
         for failed in &selection.failed {
             let name = &selection.datasets[failed.dataset].name;

@@ -20,6 +20,7 @@ use crate::view::View;
 pub(crate) struct Task {
     pub(crate) scene: Arc<Scene>,
     pub(crate) view: View,
+    pub(crate) exaggeration: f64,
     pub(crate) hidden: Hidden,
     pub(crate) allowance: usize,
     pub(crate) blends: bool,
@@ -102,13 +103,14 @@ impl Look {
     /// Searches: this takes a while, and needs no store.
     pub(crate) fn search(&mut self) {
         let Room { memo, found, scene, .. } = &mut *self.room;
-        let Task { scene: now, view, hidden, allowance, blends, .. } = &self.task;
+        let Task { scene: now, view, hidden, .. } = &self.task;
+        let Task { exaggeration, allowance, blends, .. } = self.task;
         if *scene != now.generation {
             memo.keep(|number| now.place(number).is_some());
             *scene = now.generation;
         }
         let views = std::slice::from_ref(view);
-        let wish = Wish { views, hidden, allowance: *allowance, blends: *blends, only: None };
+        let wish = Wish { views, exaggeration, hidden, allowance, blends, only: None };
         search(now, memo, wish, found);
     }
 
@@ -147,7 +149,8 @@ mod tests {
             viewport: [1; 2],
             tolerance_px,
         };
-        Task { scene, view, hidden: Hidden::default(), allowance: 0, blends: false, is_far: false }
+        let (exaggeration, hidden) = (1.0, Hidden::default());
+        Task { scene, view, exaggeration, hidden, allowance: 0, blends: false, is_far: false }
     }
 
     fn next(lookouts: &mut Lookouts) -> Option<(u64, f64, Look)> {

@@ -3,7 +3,7 @@
 
 use std::collections::hash_map::Entry;
 
-use areoid_formats::address::PageAddress;
+use areoid_formats::address::{Level, PageAddress};
 use rustc_hash::FxHashMap;
 
 use crate::scene::{Dataset, Node};
@@ -21,6 +21,8 @@ pub(crate) enum Verdict {
 #[derive(Debug, Default)]
 pub(crate) struct Memo {
     children: FxHashMap<(usize, PageAddress), Family>,
+    /// Of heights, in what is remembered.
+    exaggeration: f64,
     clock: u64,
     /// It is gone through when there are more.
     most: usize,
@@ -45,27 +47,57 @@ impl Memo {
     /// Changes of the datasets after which those that are gone are looked for.
     const CHANGES: u32 = 64;
 
-    /// A search begins.
-    pub(crate) fn begin(&mut self) {
+    /// A search begins, of terrain whose heights are taken so many times.
+    pub(crate) fn begin(&mut self, exaggeration: f64) {
         self.clock += 1;
+        if self.exaggeration != exaggeration {
+            self.children.clear();
+            self.exaggeration = exaggeration;
+        }
+    }
+
+    /// Roots of a dataset that have data.
+    pub(crate) fn roots<'a>(&'a mut self, dataset: &'a Dataset) -> &'a [Node] {
+        /// What they are the children of: a level that no pyramid has.
+        const ABOVE: PageAddress = PageAddress::new(Level(u8::MAX), 0, 0);
+        let exaggeration = self.exaggeration;
+        if exaggeration == 1.0 {
+            return &dataset.roots;
+        }
+        let roots = || {
+            let roots = dataset.roots.iter();
+            Some(roots.map(|root| dataset.node(root.entry, exaggeration)).collect())
+        };
+        self.family(dataset, ABOVE, roots).unwrap_or_default()
     }
 
     /// Children of a page that have data, or `None` if the index has to be read first.
     pub(crate) fn children(&mut self, dataset: &Dataset, page: PageAddress) -> Option<&[Node]> {
-        let (stamp, terrain) = (self.clock, dataset.terrain());
+        let exaggeration = self.exaggeration;
+        self.family(dataset, page, || dataset.children(page, exaggeration))
+    }
+
+    fn family(
+        &mut self,
+        dataset: &Dataset,
+        page: PageAddress,
+        make: impl FnOnce() -> Option<Vec<Node>>,
+    ) -> Option<&[Node]> {
+        let (stamp, terrain, exaggeration) = (self.clock, dataset.terrain(), self.exaggeration);
         match self.children.entry((dataset.number, page)) {
             Entry::Occupied(entry) => {
                 let family = entry.into_mut();
                 family.stamp = stamp;
                 if family.terrain != terrain {
+                    let nodes = family.nodes.iter();
                     family.nodes =
-                        family.nodes.iter().map(|node| dataset.node(node.entry)).collect();
+                        nodes.map(|node| dataset.node(node.entry, exaggeration)).collect();
                     family.terrain = terrain;
                 }
                 Some(&family.nodes)
             }
             Entry::Vacant(entry) => {
-                let nodes = dataset.children(page)?;
+                let nodes = make()?;
                 Some(&entry.insert(Family { stamp, terrain, nodes }).nodes)
             }
         }

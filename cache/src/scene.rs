@@ -212,12 +212,18 @@ impl Scene {
         self.datasets.iter().map(|dataset| (dataset.number, Arc::clone(&dataset.info))).collect()
     }
 
-    /// The radii of a sphere below all terrain, and of one around it.
-    pub(crate) fn radii(&self) -> [Meters; 2] {
+    /// The radii of a sphere below all terrain whose heights are taken so many times, and of one around it.
+    pub(crate) fn radii(&self, exaggeration: f64) -> [Meters; 2] {
         let ellipsoid = &self.body.ellipsoid;
+        let [lowest, highest] = self.heights.map(|height| exaggeration * height);
         // Boxes of colors and of heights end at the outer one too, but for rounding.
-        [ellipsoid.b().0 + self.heights[0], (ellipsoid.a().0 + self.heights[1]) * (1.0 + 1e-6)]
+        [(ellipsoid.b().0 + lowest).max(0.0), (ellipsoid.a().0 + highest) * (1.0 + 1e-6)]
             .map(Meters)
+    }
+
+    /// How far exaggeration moves any point of the terrain at most.
+    pub(crate) fn shift_m(&self, exaggeration: f64) -> f64 {
+        (exaggeration - 1.0).abs() * self.heights[0].abs().max(self.heights[1])
     }
 }
 
@@ -250,7 +256,7 @@ impl Dataset {
             roots: SmallVec::new(),
             heights,
         };
-        dataset.roots = roots.into_iter().map(|entry| dataset.node(entry)).collect();
+        dataset.roots = roots.into_iter().map(|entry| dataset.node(entry, 1.0)).collect();
         dataset
     }
 
@@ -301,8 +307,8 @@ impl Dataset {
         self.texels * (size_of::<f32>() + 1) + stored
     }
 
-    /// What the search has to know of a page.
-    pub(crate) fn node(&self, entry: PageEntry) -> Node {
+    /// What the search has to know of a page on terrain whose heights are taken so many times.
+    pub(crate) fn node(&self, entry: PageEntry, exaggeration: f64) -> Node {
         let Self { info, heights, .. } = self;
         let (texel_m, [lowest, highest]) = match info.kind {
             Kind::Height => {
@@ -312,16 +318,18 @@ impl Dataset {
             }
             Kind::Color | Kind::Normal => (largest_texel(&info.grid, entry.page), *heights),
         };
-        let volume = Volume::new(&info.grid, entry.page, Meters(lowest), Meters(highest));
+        let [lowest, highest] = [lowest, highest].map(|height| Meters(exaggeration * height));
+        let volume = Volume::new(&info.grid, entry.page, lowest, highest);
         Node { entry, volume, texel_m }
     }
 
     /// Children of a page that have data, or `None` if the index has to be read first. Never
     /// waits.
-    pub(crate) fn children(&self, page: PageAddress) -> Option<Vec<Node>> {
+    pub(crate) fn children(&self, page: PageAddress, exaggeration: f64) -> Option<Vec<Node>> {
         let mut children = Vec::with_capacity(4);
         for child in self.info.grid.pyramid().children(page) {
-            children.extend(self.pages.find_resident(child)?.map(|entry| self.node(entry)));
+            let entry = self.pages.find_resident(child)?;
+            children.extend(entry.map(|entry| self.node(entry, exaggeration)));
         }
         Some(children)
     }

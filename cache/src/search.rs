@@ -58,6 +58,8 @@ impl fmt::Debug for Hidden {
 pub(crate) struct Wish<'a> {
     /// None need nothing.
     pub(crate) views: &'a [View],
+    /// How many times heights are taken.
+    pub(crate) exaggeration: f64,
     pub(crate) hidden: &'a Hidden,
     /// Bytes of all pages in sight.
     pub(crate) allowance: usize,
@@ -77,36 +79,37 @@ pub(crate) struct Only<'a> {
 
 /// The pages that some views need of what is not hidden, with their ancestors within an allowance.
 pub(crate) fn search(scene: &Scene, memo: &mut Memo, wish: Wish<'_>, found: &mut Found) {
-    let Wish { views, hidden, allowance, blends, only } = wish;
-    memo.begin();
+    let Wish { views, exaggeration, hidden, allowance, blends, only } = wish;
+    memo.begin(exaggeration);
     found.clear();
     let Some(first) = views.first() else {
         memo.end();
         return;
     };
     found.tolerance_px = first.tolerance_px;
-    found.lenses.extend(views.iter().map(|view| Lens::new(view, scene.radii())));
+    found.lenses.extend(views.iter().map(|view| Lens::new(view, scene.radii(exaggeration))));
     let mut lenses = std::mem::take(&mut found.lenses);
-    let search = Search { scene, views, lenses: &lenses, hidden, blends };
+    let shift_m = scene.shift_m(exaggeration);
+    let search = Search { scene, views, lenses: &lenses, exaggeration, shift_m, hidden, blends };
 
     if let Some(Only { places, tolerance_px }) = only {
         found.tolerance_px = found.tolerance_px.max(tolerance_px);
-        places.iter().for_each(|&place| search.open(place, found));
+        places.iter().for_each(|&place| search.open(place, memo, found));
     } else if let Some(trunk) = scene.tree.trunk() {
-        search.climb(trunk, found);
+        search.climb(trunk, memo, found);
     }
     let (mut bytes, mut is_full) = (0, false);
     while let Some(candidate) = found.heap.pop() {
         let (pixels, place) = (candidate.pixels(), candidate.place());
         match candidate.step() {
-            Step::Climb => search.take_apart(place, found),
+            Step::Climb => search.take_apart(place, memo, found),
             Step::Draw => {
                 let Root { dataset, number, .. } = found.roots[place];
                 let dataset = &scene.datasets[dataset];
                 let more = dataset.page_bytes(&dataset.roots[number].entry);
                 if bytes + more <= allowance {
                     bytes += more;
-                    search.draw(place, found);
+                    search.draw(place, memo, found);
                 } else {
                     found.tolerance_px = found.tolerance_px.max(pixels);
                     // What would come after is smaller yet.
@@ -136,6 +139,9 @@ struct Search<'a> {
     scene: &'a Scene,
     views: &'a [View],
     lenses: &'a [Lens],
+    exaggeration: f64,
+    /// How far that moves any point at most.
+    shift_m: f64,
     hidden: &'a Hidden,
     blends: bool,
 }
@@ -158,20 +164,21 @@ impl Search<'_> {
 
     /// Puts a branch of the tree over the datasets among what is to come, by the largest that one of
     /// its datasets can be on the screen; opens it if it is one.
-    fn climb(&self, branch: usize, found: &mut Found) {
+    fn climb(&self, branch: usize, memo: &mut Memo, found: &mut Found) {
         found.visited += 1;
         let Branch { bounds, largest_m, parts } = self.scene.tree.branch(branch);
+        let bounds = bounds.grown(self.shift_m);
         let mut sights = self.lenses.iter().map(|lens| {
             if lens.misses_box(&bounds) { Sight::NONE } else { lens.sight_of_box(&bounds) }
         });
         match parts {
             Parts::Item(slot) => {
                 if sights.any(|sight| sight.is_seen()) {
-                    self.open(self.scene.slots[slot as usize], found);
+                    self.open(self.scene.slots[slot as usize], memo, found);
                 }
             }
             Parts::Branches(_) => {
-                let pixels = self.worst(largest_m, sights);
+                let pixels = self.worst(largest_m + 2.0 * self.shift_m, sights);
                 if pixels >= Lens::SMALLEST_PX {
                     found.heap.push(Candidate::new(pixels, branch, Step::Climb));
                 }
@@ -180,21 +187,21 @@ impl Search<'_> {
     }
 
     /// Takes a branch of the tree apart.
-    fn take_apart(&self, branch: usize, found: &mut Found) {
+    fn take_apart(&self, branch: usize, memo: &mut Memo, found: &mut Found) {
         if let Parts::Branches(children) = self.scene.tree.branch(branch).parts {
             for child in children {
-                self.climb(child, found);
+                self.climb(child, memo, found);
             }
         }
     }
 
     /// Looks at the roots of a dataset.
-    fn open(&self, dataset: usize, found: &mut Found) {
+    fn open(&self, dataset: usize, memo: &mut Memo, found: &mut Found) {
         if self.hidden.hides(|| &self.scene.datasets[dataset].info) {
             return;
         }
         let mut sights = std::mem::take(&mut found.root_sights);
-        for (number, node) in self.scene.datasets[dataset].roots.iter().enumerate() {
+        for (number, node) in memo.roots(&self.scene.datasets[dataset]).iter().enumerate() {
             let mark = sights.len();
             let Some(glance) = self.look_at(dataset, node, None, &mut sights, found) else {
                 continue;
@@ -213,9 +220,9 @@ impl Search<'_> {
     }
 
     /// Takes a root in.
-    fn draw(&self, place: usize, found: &mut Found) {
+    fn draw(&self, place: usize, memo: &mut Memo, found: &mut Found) {
         let Root { dataset, number, glance } = found.roots[place];
-        let node = &self.scene.datasets[dataset].roots[number];
+        let node = &memo.roots(&self.scene.datasets[dataset])[number];
         let views = self.lenses.len();
         let (place, sights) = (found.seen.len(), place * views..(place + 1) * views);
         found.sights.extend_from_slice(&found.root_sights[sights]);
@@ -428,7 +435,7 @@ impl Search<'_> {
         }
         let bound = f64::from(node.entry.bound);
         let error_m = match self.scene.datasets[dataset].kind {
-            Kind::Height => bound,
+            Kind::Height => self.exaggeration * bound,
             // Less than half a code is not seen.
             Kind::Color | Kind::Normal if bound < 0.5 => 0.0,
             Kind::Color | Kind::Normal => texel_m,

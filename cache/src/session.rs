@@ -49,6 +49,7 @@ pub struct Session {
     looked: Option<Instant>,
     looks: u32,
     hidden: Hidden,
+    exaggeration: f64,
     /// Whether pages are loaded that are only expected to be needed; so at first.
     pub look_ahead: bool,
     /// Whether [`Selection::beneath`] is asked for: mostly a third more pages. Not so at first.
@@ -113,6 +114,7 @@ impl Session {
             looked: None,
             looks: 0,
             hidden: Hidden::default(),
+            exaggeration: 1.0,
             look_ahead: true,
             blends: false,
             last,
@@ -128,6 +130,16 @@ impl Session {
     pub fn hide(&mut self, hides: impl Fn(&DatasetInfo) -> bool + Send + Sync + 'static) {
         self.hidden = Hidden(Some(Arc::new(hides)));
         self.views.clear();
+    }
+
+    /// From the next update on, heights are taken so many times, 0 or more: their errors are as many times as
+    /// large, and terrain that is out of sight may come into it.
+    pub fn exaggerate(&mut self, times: f64) {
+        let times = if times.is_finite() { times.max(0.0) } else { 1.0 };
+        if times != self.exaggeration {
+            self.exaggeration = times;
+            self.views.clear();
+        }
     }
 
     /// [`Self::update_all`] of one view.
@@ -215,8 +227,9 @@ impl Session {
         if let Some(scene) = self.engine.shared().try_scene() {
             self.expect(scene, views, now);
         }
-        let (hidden, allowance, blends) = (&self.hidden, self.allowance(), self.blends);
-        let all = Wish { views, hidden, allowance, blends, only: None };
+        let (exaggeration, hidden) = (self.exaggeration, &self.hidden);
+        let (allowance, blends) = (self.allowance(), self.blends);
+        let all = Wish { views, exaggeration, hidden, allowance, blends, only: None };
         let is_first = self.is_first();
         let may_be_shown = |next: &Coming| next.is_ready() || next.is_late(now) || is_first;
         self.is_trial = self.next.as_ref().is_some_and(may_be_shown);
@@ -240,8 +253,9 @@ impl Session {
 
     /// Searches what is shown, for the views that were searched for last.
     fn search_shown(&mut self) {
-        let (hidden, allowance, blends) = (&self.hidden, self.allowance(), self.blends);
-        let wish = Wish { views: &self.views, hidden, allowance, blends, only: None };
+        let (views, exaggeration, hidden) = (&self.views, self.exaggeration, &self.hidden);
+        let (allowance, blends) = (self.allowance(), self.blends);
+        let wish = Wish { views, exaggeration, hidden, allowance, blends, only: None };
         let Showing { scene, found } = &mut self.shown;
         search(scene, &mut self.memo, wish, found);
         self.engine.visited.fetch_add(found.visited as u64, Relaxed);
@@ -263,8 +277,10 @@ impl Session {
         if Arc::ptr_eq(&scene, &known.scene) {
             return;
         }
-        let lenses: Vec<Lens> = views.iter().map(|view| Lens::new(view, scene.radii())).collect();
-        let is_unseen = |bounds: Aabb| lenses.iter().all(|lens| lens.misses_box(&bounds));
+        let (radii, shift_m) = (scene.radii(self.exaggeration), scene.shift_m(self.exaggeration));
+        let lenses: Vec<Lens> = views.iter().map(|view| Lens::new(view, radii)).collect();
+        let is_unseen =
+            |bounds: Aabb| lenses.iter().all(|lens| lens.misses_box(&bounds.grown(shift_m)));
         if self.shown.scene.changes(&scene).is_some_and(|mut changes| changes.all(is_unseen)) {
             self.shown.scene = scene;
             self.memo.keep(|number| self.shown.scene.place(number).is_some());
@@ -288,7 +304,7 @@ impl Session {
             let mut requests = Vec::new();
             let after = self.matcher.compare(scene, found, &mut store, &mut requests);
             // In a view that has hardly moved, the picture lacks what it lacked a frame ago.
-            let is_steady = self.motion.is_steady(scene.radii()[0].0);
+            let is_steady = self.motion.is_steady(scene.radii(self.exaggeration)[0].0);
             let is_as_whole = is_steady && after.missing <= self.last.missing;
             if after.missing == 0 || is_as_whole || self.is_first() || next.is_late(now) {
                 self.adopt();
@@ -414,12 +430,13 @@ impl Session {
         let is_far = self.looks.is_multiple_of(Self::FAR_OF);
         let reach = if is_far { Self::LOOK_FAR_AHEAD } else { Self::LOOK_AHEAD };
         let scene = &self.shown.scene;
-        let expected = self.motion.predict(reach, scene.radii()[0].0);
+        let expected = self.motion.predict(reach, scene.radii(self.exaggeration)[0].0);
         if let (Some(view), 1) = (expected, self.views.len()) {
             if let Some(mut lookouts) = self.engine.shared().try_lookouts() {
                 let (scene, hidden) = (Arc::clone(scene), self.hidden.clone());
-                let (allowance, blends) = (self.allowance(), self.blends);
-                let task = Task { scene, view, hidden, allowance, blends, is_far };
+                let (exaggeration, allowance, blends) =
+                    (self.exaggeration, self.allowance(), self.blends);
+                let task = Task { scene, view, exaggeration, hidden, allowance, blends, is_far };
                 lookouts.post(self.number, task);
             }
         } else {

@@ -57,6 +57,12 @@ impl Aabb {
         Self::new(min, max)
     }
 
+    /// The box of all points that are no farther from this one than `by` along any axis.
+    #[must_use]
+    pub fn grown(&self, by: f64) -> Self {
+        Self::new(self.least() - DVec3::splat(by), self.greatest() + DVec3::splat(by))
+    }
+
     /// Half the area of the surface, in square meters: what the cost of a tree counts in.
     #[must_use]
     pub fn half_area(&self) -> f64 {

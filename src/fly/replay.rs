@@ -73,8 +73,7 @@ impl Replay<'_> {
         let options = self.shot.options(cache)?;
         let mut renderer = Renderer::new(self.gpu, ellipsoid);
         let mut session = cache.session();
-        session.blends = true;
-        self.shot.hide(&mut session, &options);
+        self.shot.prepare(&mut session, &options);
         let (mut frames, mut failed) = (Vec::new(), HashSet::new());
         let mut before = cache.stats();
         let start = Instant::now();

@@ -45,6 +45,10 @@ impl Host for CacheHost {
         self.session.hide(move |info| style.hides(&info.name));
     }
 
+    fn exaggerate(&mut self, times: f64) {
+        self.session.exaggerate(times);
+    }
+
     fn update(&mut self, views: &[View]) -> Arc<Selection> {
         self.session.update_all(views)
     }

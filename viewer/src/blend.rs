@@ -24,11 +24,12 @@ impl Vantage {
         Self { eye: view.eye, backward: view.orientation.z_axis, angle, exaggeration, tolerance_px }
     }
 
-    /// Meters across the line of sight at a place that show as large as the tolerance.
+    /// Meters of height at a place that show as large as the tolerance across the line of sight, exaggerated.
     pub(crate) fn tolerance_m_at(&self, place: DVec3) -> f64 {
         let position = place - self.eye;
         let along = self.backward.dot(position);
-        (along * along / position.length().max(1e-6) * self.angle).max(1e-9)
+        let tolerance_m = along * along / position.length().max(1e-6) * self.angle;
+        (tolerance_m / self.exaggeration.max(1e-6)).max(1e-9)
     }
 }
 

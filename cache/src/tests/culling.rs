@@ -27,15 +27,24 @@ fn scene(datasets: &[&Gated]) -> Scene {
 }
 
 fn search(scene: &Scene, memo: &mut Memo, view: &View, allowance: usize) -> Found {
+    search_exaggerated(scene, memo, (view, 1.0), allowance)
+}
+
+fn search_exaggerated(
+    scene: &Scene,
+    memo: &mut Memo,
+    (view, exaggeration): (&View, f64),
+    allowance: usize,
+) -> Found {
     let mut found = Found::default();
     let (hidden, views) = (&Hidden::default(), std::slice::from_ref(view));
-    let wish = Wish { views, hidden, allowance, blends: true, only: None };
+    let wish = Wish { views, exaggeration, hidden, allowance, blends: true, only: None };
     crate::search::search(scene, memo, wish, &mut found);
     found
 }
 
-/// Points of a page's shell.
-fn points(dataset: &Gated, entry: &PageEntry, steps: u32) -> Vec<DVec3> {
+/// Points of a page's shell, heights taken so many times.
+fn points(dataset: &Gated, entry: &PageEntry, steps: u32, exaggeration: f64) -> Vec<DVec3> {
     let (grid, page) = (&dataset.info.grid, entry.page);
     let interior = f64::from(grid.pyramid().interior());
     let (rows, cols) = grid.pyramid().interior_size(page);
@@ -49,7 +58,7 @@ fn points(dataset: &Gated, entry: &PageEntry, steps: u32) -> Vec<DVec3> {
         };
         let position = grid.geographic_from_texel(page.level, texel).unwrap();
         for height in [entry.lowest, entry.highest] {
-            let height = Meters(f64::from(height));
+            let height = Meters(exaggeration * f64::from(height));
             points.push(mars().ellipsoid.cartesian_from_geographic(position, height));
         }
     }
@@ -64,13 +73,13 @@ fn hidden(eye: DVec3, point: DVec3, radius: f64) -> bool {
 }
 
 /// Whether a point is in the picture and not behind the body.
-fn is_seen(scene: &Scene, view: &View, point: DVec3) -> bool {
+fn is_seen(scene: &Scene, view: &View, exaggeration: f64, point: DVec3) -> bool {
     let up = (view.vertical_fov.0 / 2.0).tan();
     let right = up * f64::from(view.viewport[0]) / f64::from(view.viewport[1]);
     let seen = view.orientation.transpose() * (point - view.eye);
     let ahead = -seen.z;
     let in_frustum = ahead > 0.0 && seen.x.abs() <= right * ahead && seen.y.abs() <= up * ahead;
-    in_frustum && !hidden(view.eye, point, scene.radii()[0].0)
+    in_frustum && !hidden(view.eye, point, scene.radii(exaggeration)[0].0)
 }
 
 fn wanted_over(found: &Found, dataset: usize, page: PageAddress) -> Option<usize> {
@@ -87,10 +96,10 @@ fn wanted_over(found: &Found, dataset: usize, page: PageAddress) -> Option<usize
     })
 }
 
-/// Checks a view; returns the points seen.
-fn check(datasets: &[&Gated], scene: &Scene, view: &View) -> usize {
+/// Checks a view of terrain that is so many times as high; returns the points seen.
+fn check(datasets: &[&Gated], scene: &Scene, view: &View, exaggeration: f64) -> usize {
     let mut memo = Memo::default();
-    let found = search(scene, &mut memo, view, usize::MAX);
+    let found = search_exaggerated(scene, &mut memo, (view, exaggeration), usize::MAX);
     assert!(found.unindexed.is_empty());
     let up = (view.vertical_fov.0 / 2.0).tan();
     let scale = f64::from(view.viewport[1]) / (2.0 * up);
@@ -98,8 +107,8 @@ fn check(datasets: &[&Gated], scene: &Scene, view: &View) -> usize {
     for (place, dataset) in datasets.iter().enumerate() {
         let finest = dataset.info.grid.pyramid().finest();
         for entry in dataset.entries.iter().filter(|entry| entry.page.level == finest) {
-            for point in points(dataset, entry, 4) {
-                if !is_seen(scene, view, point) {
+            for point in points(dataset, entry, 4, exaggeration) {
+                if !is_seen(scene, view, exaggeration, point) {
                     continue;
                 }
                 seen_points += 1;
@@ -110,7 +119,7 @@ fn check(datasets: &[&Gated], scene: &Scene, view: &View) -> usize {
                 let sight = point - view.eye;
                 let cosine = sight.normalize().dot(view.axis());
                 let pixels = |seen: &Seen| {
-                    let bound = f64::from(seen.node.entry.bound);
+                    let bound = exaggeration * f64::from(seen.node.entry.bound);
                     bound * scale / (sight.length() * cosine * cosine)
                 };
                 let error = pixels(wanted);
@@ -151,7 +160,7 @@ fn named_views_cull_nothing_that_is_seen() {
         (30.0, 85.0, 2e4, 80.0),
         (30.0, 40.0, 1e4, 100.0),
     ] {
-        let seen = check(&[&globe, &cap], &scene, &view(longitude, latitude, altitude, pitch));
+        let seen = check(&[&globe, &cap], &scene, &view(longitude, latitude, altitude, pitch), 1.0);
         assert!(seen > 0 || pitch > 90.0, "{longitude} {latitude}");
     }
 }
@@ -165,7 +174,7 @@ fn peaks_behind_the_horizon_are_wanted() {
     let mut beyond = 0;
     for heading in 0..12 {
         let view = view(30.0 * f64::from(heading), 5.0, 2e3, 90.0);
-        check(&[&globe], &scene, &view);
+        check(&[&globe], &scene, &view, 1.0);
         let found = search(&scene, &mut Memo::default(), &view, usize::MAX);
         let horizon = (view.eye.length_squared() - sphere * sphere).sqrt();
         beyond +=
@@ -193,6 +202,7 @@ proptest! {
         pitch in 0.0..100.0,
         fov in 5.0..110.0,
         tolerance_px in 0.2..50.0,
+        exaggeration in prop_oneof![Just(1.0), 0.0..1.0, 1.0..20.0],
     ) {
         let (globe, cap) = both();
         let scene = scene(&[globe, cap]);
@@ -201,8 +211,44 @@ proptest! {
             tolerance_px,
             ..view(longitude, latitude, 10.0_f64.powf(altitude), pitch)
         };
-        check(&[globe, cap], &scene, &view);
+        check(&[globe, cap], &scene, &view, exaggeration);
     }
+}
+
+/// A map of 5 degrees on a side.
+fn region(west: f64, south: f64) -> Grid {
+    let (origin, pixel_size) = ([west, south + 5.0], [5.0 / 128.0; 2]);
+    let outline = Outline { origin, pixel_size, width: 128, height: 128 };
+    let crs = Crs::new(Projection::Geographic, mars().ellipsoid);
+    Grid::from_outline(crs, outline, 66).unwrap().grid
+}
+
+/// Where terrain is not as high as the boxes of the tree over its datasets say, none of them is missed.
+#[test]
+fn exaggerated_datasets_are_found() {
+    let regions: Vec<Gated> = (0..72)
+        .map(|place| {
+            region(10.0 * f64::from(place % 36) - 180.0, 40.0 * f64::from(place / 36) - 20.0)
+        })
+        .enumerate()
+        .map(|(place, grid)| Gated::new(&place.to_string(), grid, Kind::Height))
+        .collect();
+    let regions: Vec<&Gated> = regions.iter().filter(|region| !region.entries.is_empty()).collect();
+    let scene = scene(&regions);
+    let mut seen = Vec::new();
+    for exaggeration in [0.0, 1.0, 5.0, 1000.0] {
+        let around = (0..24).map(|step| {
+            let longitude = 15.0 * f64::from(step) + 3.0;
+            let [high, low] = [3e6, 5e5].map(|altitude| view(longitude, -10.0, altitude, 30.0));
+            let up = view(longitude, 9.0, 3e4, 125.0);
+            [high, low, up]
+                .iter()
+                .map(|view| check(&regions, &scene, view, exaggeration))
+                .sum::<usize>()
+        });
+        seen.push(around.sum::<usize>());
+    }
+    assert!(seen[0] > 0 && seen.is_sorted_by(|one, next| one < next), "{seen:?}");
 }
 
 /// What is seen of a page is at least as far as its sight says, along the eye's axis too; and of some
@@ -223,12 +269,12 @@ fn what_is_seen_is_no_nearer_than_its_sight() {
                 95.0 * chance(15),
             )
         };
-        let lens = crate::view::Lens::new(&view, scene.radii());
+        let lens = crate::view::Lens::new(&view, scene.radii(1.0));
         for (place, dataset) in [globe, cap].into_iter().enumerate() {
             for entry in &dataset.entries {
-                let sight = lens.sight(&scene.datasets[place].node(*entry).volume);
-                for point in points(dataset, entry, 4) {
-                    if !is_seen(&scene, &view, point) {
+                let sight = lens.sight(&scene.datasets[place].node(*entry, 1.0).volume);
+                for point in points(dataset, entry, 4, 1.0) {
+                    if !is_seen(&scene, &view, 1.0, point) {
                         continue;
                     }
                     seen += 1;
@@ -325,8 +371,8 @@ fn searches_want_little_more_than_is_seen() {
         let warm = start.elapsed() / 20;
         let in_sight = |place: &usize| {
             let seen = &found.seen[*place];
-            let mut points = points(datasets[seen.dataset], &seen.node.entry, 32).into_iter();
-            points.any(|point| is_seen(&scene, &view, point))
+            let mut points = points(datasets[seen.dataset], &seen.node.entry, 32, 1.0).into_iter();
+            points.any(|point| is_seen(&scene, &view, 1.0, point))
         };
         let seen = found.wanted.iter().filter(|place| in_sight(place)).count();
         let (visited, wanted) = (found.visited, found.wanted.len());

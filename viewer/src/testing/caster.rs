@@ -14,6 +14,7 @@ pub(crate) struct Caster<'a> {
     pub(crate) view: &'a View,
     pub(crate) body: Ellipsoid,
     pub(crate) surface: &'a Surface,
+    pub(crate) exaggeration: f64,
 }
 
 /// The middle of a pixel.
@@ -38,17 +39,18 @@ impl Caster<'_> {
     fn above(&self, direction: DVec3, distance_m: f64) -> f64 {
         let point = self.view.eye + distance_m * direction;
         let (place, altitude) = self.body.geographic_from_cartesian(point);
-        altitude.0 - ground_m(self.surface, place)
+        altitude.0 - self.exaggeration * ground_m(self.surface, place)
     }
 
     /// Meters along the ray of a place of the picture to the surface, or [`SKY`].
     pub(crate) fn cast(&self, pixel: DVec2) -> f64 {
-        /// Steps for each meter above the terrain, which is nowhere steeper, and in pixels at least.
+        /// Steps for each meter above the terrain, which is nowhere steeper as it is, and in pixels at least.
         const STEP: f64 = 0.4;
         const LEAST_PX: f64 = 0.4;
 
         let direction = self.direction(pixel);
-        let outer = self.body.a().0 + self.surface.height_range_m().1 + 1.0;
+        let outer = self.body.a().0 + self.exaggeration * self.surface.height_range_m().1 + 1.0;
+        let step = STEP / self.exaggeration.max(1.0);
         let eye = self.view.eye;
         let middle = -eye.dot(direction);
         let half = (outer * outer - (eye + middle * direction).length_squared()).sqrt();
@@ -58,7 +60,7 @@ impl Caster<'_> {
         let (mut near, end) = ((middle - half).max(0.0), middle + half);
         let mut above = self.above(direction, near);
         while near < end {
-            let far = near + (STEP * above).max(LEAST_PX * near * pixel_angle(self.view));
+            let far = near + (step * above).max(LEAST_PX * near * pixel_angle(self.view));
             let next = self.above(direction, far);
             if next < 0.0 {
                 let (mut low, mut high) = (near, far);

@@ -203,7 +203,8 @@ fn no_background_shows_through_the_planet() {
         }
         let picture = renderer.read_color();
         let (low, high) = world.truth.height_range_m();
-        let caster = Caster { view: &view, body: world.body, surface: &world.truth };
+        let (body, surface) = (world.body, &world.truth);
+        let caster = Caster { view: &view, body, surface, exaggeration: 1.0 };
         let [a, b] = [world.body.a().0, world.body.b().0];
         let shell = |height: f64| [a + height, b + height];
         let places = (0..VIEWPORT[1]).flat_map(|y| (0..VIEWPORT[0]).map(move |x| (x, y)));

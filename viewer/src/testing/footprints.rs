@@ -196,7 +196,7 @@ fn mean(caster: &Caster<'_>, x: u32, y: u32) -> Option<[f64; 3]> {
 fn far_ground_neither_aliases_nor_blurs() {
     let selection = planet().selection(|_| true);
     let (view, surface) = (view(), Surface::new(&selection));
-    let caster = Caster { view: &view, body: body(), surface: &surface };
+    let caster = Caster { view: &view, body: body(), surface: &surface, exaggeration: 1.0 };
     let mut renderer = Renderer::new(gpu(), body());
     let truth: Vec<_> = (0..SIZE[1])
         .flat_map(|y| (0..SIZE[0]).map(move |x| (x, y)))

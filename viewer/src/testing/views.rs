@@ -31,14 +31,16 @@ struct Named {
     /// Heading and pitch.
     look: [f64; 2],
     fov: f64,
+    /// How many times heights are taken.
+    times: f64,
 }
 
 const fn mars(name: &'static str, eye: [f64; 3], look: [f64; 2], fov: f64) -> Named {
-    Named { name, is_earth: false, eye, look, fov }
+    Named { name, is_earth: false, eye, look, fov, times: 1.0 }
 }
 
 const fn on_earth(name: &'static str, eye: [f64; 3], look: [f64; 2], fov: f64) -> Named {
-    Named { name, is_earth: true, eye, look, fov }
+    Named { name, is_earth: true, eye, look, fov, times: 1.0 }
 }
 
 const DOWN: f64 = -90.0;
@@ -47,7 +49,7 @@ const FIELD_Y: f64 = INSET[1];
 const PEAK_X: f64 = PEAK[0];
 const PEAK_Y: f64 = PEAK[1];
 
-const VIEWS: [Named; 30] = [
+const VIEWS: [Named; 36] = [
     mars("disc", [30.0, 20.0, 9e6], [17.0, DOWN], 45.0),
     mars("disc from near", [-100.0, -5.0, 2e6], [200.0, DOWN], 70.0),
     mars("limb", [77.0, -40.0, 8e5], [30.0, -32.0], 50.0),
@@ -78,9 +80,20 @@ const VIEWS: [Named; 30] = [
     on_earth("edge of the field", [FIELD_X - 0.0011, FIELD_Y, 10.0], [80.0, -12.0], 60.0),
     on_earth("peak on the horizon", [PEAK_X - 2.9, PEAK_Y, 200.0], [90.0, 0.5], 8.0),
     on_earth("peak", [PEAK_X - 0.6, PEAK_Y - 0.4, 3e3], [56.0, 3.0], 50.0),
+    mars("flat oblique", [11.0, 0.3, 1.2e5], [80.0, -25.0], 50.0).times(0.0),
+    mars("high disc", [30.0, 20.0, 9e6], [17.0, DOWN], 45.0).times(10.0),
+    mars("high oblique", [11.0, 0.3, 1.2e5], [80.0, -25.0], 50.0).times(4.0),
+    mars("high ground", [100.0, -44.0, 50.0], [190.0, -6.0], 60.0).times(3.0),
+    mars("high south pole", [140.0, -88.8, 5e4], [180.0, -25.0], 50.0).times(5.0),
+    on_earth("high peak on the horizon", [PEAK_X - 2.9, PEAK_Y, 200.0], [90.0, 0.5], 8.0)
+        .times(2.0),
 ];
 
 impl Named {
+    const fn times(self, times: f64) -> Self {
+        Self { times, ..self }
+    }
+
     fn world(&self) -> &'static World {
         if self.is_earth { earth() } else { split_mars() }
     }
@@ -89,7 +102,7 @@ impl Named {
         let world = self.world();
         let [longitude, latitude, above_m] = self.eye;
         let place = at(longitude, latitude);
-        let ground = ground_m(&world.truth, place);
+        let ground = self.times * ground_m(&world.truth, place);
         let [heading, pitch] = self.look.map(|angle| Radians::from(Degrees(angle)));
         let pose = Pose::from_eye(&world.body, place, Meters(ground + above_m), heading, pitch);
         pose.view(Degrees(self.fov).into(), viewport, 1.0)
@@ -203,7 +216,8 @@ fn sampled(viewport: [u32; 2], every: u32) -> Vec<(u32, u32)> {
 
 fn judge(named: &Named, view: &View, shown: &Shown, pixels: &[(u32, u32)]) -> Errors {
     let world = named.world();
-    let caster = Caster { view, body: world.body, surface: &world.truth };
+    let (body, surface, exaggeration) = (world.body, &world.truth, named.times);
+    let caster = Caster { view, body, surface, exaggeration };
     let judge = Judge { view, caster, world, shown };
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     std::thread::scope(|scope| {
@@ -238,7 +252,7 @@ fn spread(values: &mut [f64]) -> [f64; 4] {
 }
 
 #[test]
-fn thirty_views_are_what_the_ray_caster_sees() {
+fn views_are_what_the_ray_caster_sees() {
     let (viewport, every) = if soak() { ([640, 480], 1) } else { ([320, 240], 6) };
     let mut table = String::from(
         "view,tolerance px,error px median,99 %,99.9 %,max,mesh px 99 %,max,\
@@ -250,11 +264,12 @@ fn thirty_views_are_what_the_ray_caster_sees() {
     for named in &VIEWS {
         let view = named.view(viewport);
         let start = Instant::now();
-        let selection = named.world().selection(&view);
+        let selection = named.world().exaggerated(&view, named.times);
         let select_ms = 1e3 * start.elapsed().as_secs_f64();
         let renderer = &mut renderers[usize::from(named.is_earth)];
         let start = Instant::now();
-        let drawn = renderer.render(&view, &selection, &EVEN, &Options::default());
+        let options = Options { vertical_exaggeration: named.times, ..Options::default() };
+        let drawn = renderer.render(&view, &selection, &EVEN, &options);
         let rgba = renderer.read_color().rgba;
         let draw_ms = 1e3 * start.elapsed().as_secs_f64();
         let shown = Shown { aovs: renderer.read_aovs(), depth_m: renderer.read_depth_m(), rgba };

@@ -51,7 +51,14 @@ impl World {
 
     /// What a view wants, with nothing missing.
     pub(crate) fn selection(&self, view: &View) -> Arc<Selection> {
-        let selection = self.session.lock().unwrap().settle(view);
+        self.exaggerated(view, 1.0)
+    }
+
+    /// The same of terrain that is so many times as high.
+    pub(crate) fn exaggerated(&self, view: &View, times: f64) -> Arc<Selection> {
+        let mut session = self.session.lock().unwrap();
+        session.exaggerate(times);
+        let selection = session.settle(view);
         assert_eq!((selection.missing, selection.failed.len()), (0, 0));
         selection
     }

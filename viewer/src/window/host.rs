@@ -13,6 +13,9 @@ pub trait Host {
     /// From the next update on, nothing has to be loaded of what a style leaves out.
     fn follow(&mut self, style: &Style);
 
+    /// From the next update on, heights are shown so many times as high.
+    fn exaggerate(&mut self, times: f64);
+
     /// The pages in memory for views that are shown side by side.
     fn update(&mut self, views: &[View]) -> Arc<Selection>;
 

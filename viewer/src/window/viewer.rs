@@ -128,6 +128,7 @@ impl<H: Host> Viewer<H> {
         if !stage.drawn.as_ref().is_some_and(is_known) {
             self.host.follow(&self.settings.style);
         }
+        self.host.exaggerate(self.settings.exaggeration);
         let selection = self.host.update(&views);
         self.record(&views);
         let insertions = self.host.insertions();
