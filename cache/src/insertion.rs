@@ -107,9 +107,17 @@ pub fn insert(
 }
 
 /// Lowers this thread's priority, and so that of the threads it will start. Linux counts it by thread.
+///
+/// However nice a thread is, others that wake wait until it has had a slice of some milliseconds. Idle ones they
+/// interrupt.
 #[cfg(target_os = "linux")]
 fn give_way() {
+    use thread_priority::{
+        NormalThreadSchedulePolicy::Idle, ThreadPriority, ThreadSchedulePolicy::Normal,
+        set_thread_priority_and_policy, thread_native_id,
+    };
     // Being as urgent as others is no failure.
+    let _ = set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, Normal(Idle));
     let _ = rustix::process::nice(NICE);
 }
 
@@ -211,5 +219,30 @@ pub fn sweep_temporary(folder: &Path) {
         }
         // If it stays, the next start sweeps it.
         let _ = fs::remove_dir_all(entry.path());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    /// As the system tells it: field 19 of a thread's `stat` is how nice it is, field 41 its policy.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn an_insertion_and_the_threads_it_starts_give_way() {
+        use std::{fs, thread};
+
+        const IDLE: &str = "5";
+        let own = || {
+            let stat = fs::read_to_string("/proc/thread-self/stat").unwrap();
+            let fields: Vec<_> = stat.rsplit(") ").next().unwrap().split(' ').collect();
+            [fields[19 - 3], fields[41 - 3]].map(str::to_owned)
+        };
+        let before = own();
+        let given = thread::spawn(move || {
+            super::give_way();
+            (own(), thread::spawn(own).join().unwrap())
+        });
+        let (given, started) = given.join().unwrap();
+        assert_eq!((&given, &started), (&["19", IDLE].map(str::to_owned), &given));
+        assert_eq!(own(), before);
     }
 }

@@ -3,7 +3,7 @@
 //! ```text
 //!   public ──▶ connections ──▶ requests ──▶ snapshot ──▶ memory ──▶ Bytes
 //!                 (limits)      (limits)        │           └─ fault ─▶ blocking read, proven
-//!   admin  ──▶ token ──▶ insertion (nice 19) ──▶ next snapshot ──▶ events
+//!   admin  ──▶ token ──▶ insertion (idle) ──▶ next snapshot ──▶ events
 //! ```
 //!
 //! `cache/HTTP.md` documents what is asked and answered. A core has a runtime of one thread; all of them
