@@ -42,7 +42,7 @@ pub(crate) struct Shot {
     #[command(flatten)]
     pub(crate) quality: Quality,
 
-    /// Factor on heights, which multiplies their errors, too.
+    /// Factor on heights. Their errors are within the tolerance all the same.
     #[arg(long, value_name = "FACTOR", allow_hyphen_values = true, default_value_t = 1.0)]
     pub(crate) exaggeration: f64,
 
@@ -84,6 +84,10 @@ impl Quality {
             return misused("--memory-mib must be at least 1");
         }
         Ok(())
+    }
+
+    pub(crate) fn memory_bytes(&self) -> u64 {
+        (self.memory_mib as u64).saturating_mul(1 << 20)
     }
 }
 

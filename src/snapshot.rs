@@ -79,7 +79,8 @@ impl Args {
         let options = self.shot.options(&cache)?;
 
         let gpu = Gpu::headless()?;
-        let mut renderer = Renderer::new(&gpu, cache.body().ellipsoid);
+        let mut renderer =
+            Renderer::with_budget(&gpu, cache.body().ellipsoid, quality.memory_bytes());
         let mut session = cache.session();
         self.shot.prepare(&mut session, &options);
         let selection = session.settle(&view);

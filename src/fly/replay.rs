@@ -71,7 +71,8 @@ impl Replay<'_> {
     ) -> Result<Flown, Failure> {
         let ellipsoid = cache.body().ellipsoid;
         let options = self.shot.options(cache)?;
-        let mut renderer = Renderer::new(self.gpu, ellipsoid);
+        let mut renderer =
+            Renderer::with_budget(self.gpu, ellipsoid, self.shot.quality.memory_bytes());
         let mut session = cache.session();
         self.shot.prepare(&mut session, &options);
         let (mut frames, mut failed) = (Vec::new(), HashSet::new());

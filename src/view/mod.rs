@@ -55,6 +55,7 @@ impl Args {
         let window = WindowOptions {
             title: format!("Areoid: {}", self.source.name()),
             ellipsoid: cache.body().ellipsoid,
+            budget_bytes: self.quality.memory_bytes(),
             start,
             tolerance_px: self.quality.tolerance_px,
             style,

@@ -38,9 +38,6 @@ const NEAR_M: f64 = 0.05;
 /// Workgroups along one axis of a dispatch at most.
 const MOST_WORKGROUPS: u32 = 65_535;
 
-/// Bytes of each atlas.
-const ATLAS_BYTES: u64 = 512 << 20;
-
 /// Draws selections. One thread uses it; nothing in it waits but the `read_` calls.
 #[derive(Debug)]
 pub struct Renderer {
@@ -91,12 +88,20 @@ struct Storages {
 }
 
 impl Renderer {
-    /// A renderer for a body on a device.
+    /// [`Self::with_budget`] of 1 GiB.
     #[must_use]
     pub fn new(gpu: &Gpu, ellipsoid: Ellipsoid) -> Self {
+        Self::with_budget(gpu, ellipsoid, 1 << 30)
+    }
+
+    /// A renderer for a body on a device, for views of a cache with so many bytes for pages: each of the
+    /// atlases, of heights, colors and normals, grows to three quarters of that if it has to. A view has
+    /// half of a cache at most, colors take a third more here, and what fades out is there, too.
+    #[must_use]
+    pub fn with_budget(gpu: &Gpu, ellipsoid: Ellipsoid, budget_bytes: u64) -> Self {
         Self {
             pipelines: Pipelines::new(gpu),
-            resident: Resident::new(gpu, ATLAS_BYTES),
+            resident: Resident::new(gpu, budget_bytes / 4 * 3),
             mesh: Mesh::default(),
             detail: Detail::default(),
             surface: Surface::default(),

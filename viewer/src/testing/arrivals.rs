@@ -137,6 +137,22 @@ fn a_frame_without_time_writes_a_page() {
     assert!(renderer.read_color() == at_once.read_color());
 }
 
+/// A view has half of a cache at most, and all of that finds room.
+#[test]
+fn atlases_are_as_large_as_a_cache_asks() {
+    let world = split_mars();
+    let selection = selected(world, 0.4, 1);
+    let pages = selection.pages.iter().chain(&selection.roots);
+    let bytes: usize = pages.map(|page| page.page.bytes()).sum();
+    let draw = |budget_bytes: usize| {
+        let mut renderer = Renderer::with_budget(gpu(), world.body, budget_bytes as u64);
+        renderer.render(&view(1.0), &selection, &LIGHT, &Options::default())
+    };
+    let (enough, little) = (draw(2 * bytes), draw(bytes / 8));
+    assert_eq!((enough.left_out_pages, enough.pending_pages), (0, 0));
+    assert!(little.left_out_pages > 0 && little.uploaded_bytes < bytes as u64 / 2, "{little:?}");
+}
+
 /// Where lists would be too long for a device the mesh is coarser; whatever the limit, there are no more
 /// anchors than it allows.
 #[test]

@@ -48,6 +48,8 @@ pub struct WindowOptions {
     pub title: String,
     /// The body shown.
     pub ellipsoid: Ellipsoid,
+    /// What the cache has for pages.
+    pub budget_bytes: u64,
     /// Above which place.
     pub start: Geographic,
     /// The error that may show, in pixels.

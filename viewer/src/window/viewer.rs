@@ -99,7 +99,8 @@ impl<H: Host> Viewer<H> {
         let instance = wgpu::Instance::new(descriptor);
         let presenter = Presenter::new(&instance, Arc::new(window))?;
         let gpu = presenter.gpu();
-        let renderer = Renderer::new(gpu, self.options.ellipsoid);
+        let renderer =
+            Renderer::with_budget(gpu, self.options.ellipsoid, self.options.budget_bytes);
         let painter = Painter::new(gpu, presenter.window(), presenter.format());
         Ok(Stage {
             presenter,
