@@ -42,7 +42,7 @@ pub(crate) struct Shot {
     #[command(flatten)]
     pub(crate) quality: Quality,
 
-    /// Factor on heights. Their errors are within the tolerance all the same.
+    /// Factor on heights, whose errors stay within the tolerance.
     #[arg(long, value_name = "FACTOR", allow_hyphen_values = true, default_value_t = 1.0)]
     pub(crate) exaggeration: f64,
 

@@ -15,7 +15,7 @@ pub(crate) struct Seen {
     pub(crate) parent: Option<usize>,
     /// From the nearest eye that sees it.
     pub(crate) distance: f64,
-    /// At most what it is off by, in meters on the ground or in height.
+    /// At most what it is off by, in meters on the ground or in exaggerated height.
     pub(crate) error_m: f64,
     /// Its error on the screen, in pixels of the first view.
     pub(crate) pixels: f64,

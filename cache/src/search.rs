@@ -435,7 +435,8 @@ impl Search<'_> {
         }
         let bound = f64::from(node.entry.bound);
         let error_m = match self.scene.datasets[dataset].kind {
-            Kind::Height => self.exaggeration * bound,
+            // Of flattened terrain, heights are still told.
+            Kind::Height => self.exaggeration.max(1.0) * bound,
             // Less than half a code is not seen.
             Kind::Color | Kind::Normal if bound < 0.5 => 0.0,
             Kind::Color | Kind::Normal => texel_m,

@@ -133,9 +133,9 @@ impl Session {
     }
 
     /// From the next update on, heights are taken so many times, 0 or more: their errors are as many times as
-    /// large, and terrain that is out of sight may come into it.
+    /// large, and terrain that is out of sight may come into it. What is no such number is taken for 1.
     pub fn exaggerate(&mut self, times: f64) {
-        let times = if times.is_finite() { times.max(0.0) } else { 1.0 };
+        let times = if times.is_finite() && times >= 0.0 { times } else { 1.0 };
         if times != self.exaggeration {
             self.exaggeration = times;
             self.views.clear();
@@ -266,6 +266,11 @@ impl Session {
         self.last.pages.is_empty() && self.last.generation == 0
     }
 
+    /// How far from the body's center ground is at least that a view moves above.
+    fn ground_m(&self, scene: &Scene) -> f64 {
+        scene.radii(self.exaggeration.min(1.0))[0].0
+    }
+
     fn allowance(&self) -> usize {
         let sessions = self.engine.shared().sessions.load(Relaxed).max(1);
         self.budget_bytes / 2 / sessions
@@ -304,7 +309,7 @@ impl Session {
             let mut requests = Vec::new();
             let after = self.matcher.compare(scene, found, &mut store, &mut requests);
             // In a view that has hardly moved, the picture lacks what it lacked a frame ago.
-            let is_steady = self.motion.is_steady(scene.radii(self.exaggeration)[0].0);
+            let is_steady = self.motion.is_steady(self.ground_m(scene));
             let is_as_whole = is_steady && after.missing <= self.last.missing;
             if after.missing == 0 || is_as_whole || self.is_first() || next.is_late(now) {
                 self.adopt();
@@ -430,7 +435,7 @@ impl Session {
         let is_far = self.looks.is_multiple_of(Self::FAR_OF);
         let reach = if is_far { Self::LOOK_FAR_AHEAD } else { Self::LOOK_AHEAD };
         let scene = &self.shown.scene;
-        let expected = self.motion.predict(reach, scene.radii(self.exaggeration)[0].0);
+        let expected = self.motion.predict(reach, self.ground_m(scene));
         if let (Some(view), 1) = (expected, self.views.len()) {
             if let Some(mut lookouts) = self.engine.shared().try_lookouts() {
                 let (scene, hidden) = (Arc::clone(scene), self.hidden.clone());

@@ -96,6 +96,10 @@ fn what_is_in_memory_is_served_whatever_becomes_of_its_archive() {
     let large = before.iter().filter(|body| body.len() > 400_000).count();
     assert!(large > 1, "{large} of {}", before.len());
     assert!(get() == before, "from the archive");
+    let filed = || serving.metric("areoid_filed_bytes_total");
+    let from_archive = filed();
+    // Where the system says what it has in memory.
+    assert!(from_archive > 0.0 || cfg!(not(target_os = "linux")));
     let path = serving.place.catalog().join("archives").join(file);
     let archive = OpenOptions::new().write(true).open(&path).unwrap();
     for (_, at) in &pages {
@@ -106,6 +110,7 @@ fn what_is_in_memory_is_served_whatever_becomes_of_its_archive() {
     assert!(get() == before, "from one that was cut");
     fs::remove_file(path).unwrap();
     assert!(get() == before, "from none");
+    assert_eq!(filed(), from_archive);
 }
 
 #[test]

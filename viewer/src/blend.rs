@@ -24,12 +24,13 @@ impl Vantage {
         Self { eye: view.eye, backward: view.orientation.z_axis, angle, exaggeration, tolerance_px }
     }
 
-    /// Meters of height at a place that show as large as the tolerance across the line of sight, exaggerated.
+    /// Meters of height at a place that show as large as the tolerance across the line of sight; exaggerated,
+    /// where that makes them larger.
     pub(crate) fn tolerance_m_at(&self, place: DVec3) -> f64 {
         let position = place - self.eye;
         let along = self.backward.dot(position);
         let tolerance_m = along * along / position.length().max(1e-6) * self.angle;
-        (tolerance_m / self.exaggeration.max(1e-6)).max(1e-9)
+        (tolerance_m / self.exaggeration.max(1.0)).max(1e-9)
     }
 }
 

@@ -40,11 +40,12 @@ pub(super) struct Content {
 /// Bytes on their way to the client.
 #[derive(Debug)]
 pub(super) struct Piece {
+    // Before the bytes, so that nothing is known of them when they are gone.
+    _known: Option<Known>,
     bytes: Bytes,
     _waiting: Option<Waiting>,
     _permit: Option<Arc<OwnedSemaphorePermit>>,
     _asked: Option<Arc<Asked>>,
-    _known: Option<Known>,
 }
 
 impl Buf for Piece {

@@ -3,13 +3,18 @@
 //! What a socket is given from the process's memory is copied. What it is given from a file is not: it refers to the
 //! memory in which the system has that part of the file, which a page that was read of late still is. So an answer
 //! carries bytes in memory, proven, and beside them where the archive has the same. The connection's writes know such
-//! bytes by their address ([`Outbox`]) and let the system take them from the file. Where that is not as it was when
-//! they were read, where a disk would have to be waited for, and on systems without `sendfile`, they are sent from
-//! memory.
+//! bytes by their address ([`Outbox`]) and let the system take them from the file. Where that is not what it was when
+//! they were read, where a disk would have to be waited for, and where a system or its file system cannot tell, they are
+//! sent from memory.
+//!
+//! The file is looked at before each piece that is sent of it. What changes in it until the client's system has the
+//! piece, and what a medium that is read anew makes of it without a change of its times, is the client's to find:
+//! it has the checksum.
 
 use std::fs::File;
 use std::io::{self, IoSlice};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context, Poll, ready};
 
 use areoid_formats::archive::{Archive, PageEntry};
@@ -21,6 +26,9 @@ use system::State;
 /// Fewer bytes than that are copied faster than they are found in a file.
 const WORTH_FINDING: usize = 32 << 10;
 
+/// At most so many are sent from a file at a time: what lies between two bytes in memory most probably is, too.
+const PIECE: usize = 256 << 10;
+
 /// Where a page's bytes were read from.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Origin {
@@ -29,10 +37,11 @@ pub(super) struct Origin {
     state: State,
 }
 
-/// A part of a file, from its start on.
+/// A part of a file, from its start on. It keeps no file open.
 #[derive(Clone, Debug)]
 pub(super) struct Filed {
-    file: Arc<File>,
+    file: Weak<File>,
+    state: State,
     start: u64,
 }
 
@@ -43,14 +52,27 @@ impl Origin {
         Some(Self { entry, state: system::state(&file)? })
     }
 
-    /// Where its bytes are now, of which there are so many: if the file was not touched since, and if its first
-    /// and last are in memory, and so most probably those between.
-    pub(super) fn now(&self, archive: &Archive, count: usize) -> Option<Filed> {
-        let (file, start) = archive.file_of(&self.entry).filter(|_| count >= WORTH_FINDING)?;
-        let is_as_it_was = system::state(&file).as_ref() == Some(&self.state);
+    /// Where its bytes are, of which there are so many, if it is worth to know that.
+    pub(super) fn filed(&self, archive: &Archive, count: usize) -> Option<Filed> {
+        if count < WORTH_FINDING {
+            return None;
+        }
+        let (file, start) = archive.file_of(&self.entry)?;
+        Some(Filed { file: Arc::downgrade(&file), state: self.state, start })
+    }
+}
+
+impl Filed {
+    /// Sends at most so many bytes, up to [`PIECE`], or none where they are better sent from memory.
+    fn send(&self, stream: &TcpStream, count: usize) -> Option<usize> {
+        let file = self.file.upgrade()?;
         let is_there = |offset| system::is_in_memory(&file, offset);
-        let is_there = is_as_it_was && is_there(start) && is_there(start + count as u64 - 1);
-        is_there.then_some(Filed { file, start })
+        // A file system that cannot tell is asked nothing else.
+        let is_there = is_there(self.start) && is_there(self.start + count as u64 - 1);
+        let is_as_it_was = is_there && system::state(&file).as_ref() == Some(&self.state);
+        let sent = is_as_it_was.then(|| system::send_file(stream, &file, self.start, count))?;
+        // A socket that is full says so again.
+        sent.ok().filter(|&sent| sent > 0)
     }
 }
 
@@ -59,8 +81,12 @@ impl Origin {
 /// # Threads
 ///
 /// Any thread may call anything.
-#[derive(Debug, Default)]
-pub(super) struct Outbox(Mutex<Vec<Sending>>);
+#[derive(Debug)]
+pub(super) struct Outbox {
+    all: Mutex<Vec<Sending>>,
+    /// Bytes that were sent from files, of all connections.
+    counter: Arc<AtomicU64>,
+}
 
 #[derive(Debug)]
 struct Sending {
@@ -78,8 +104,13 @@ pub(super) struct Known {
 }
 
 impl Outbox {
+    /// Of a connection that begins.
+    pub(super) fn new(counter: Arc<AtomicU64>) -> Arc<Self> {
+        Arc::new(Self { all: Mutex::default(), counter })
+    }
+
     fn all(&self) -> MutexGuard<'_, Vec<Sending>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.all.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// `bytes` are those of `filed`, and stay where they are as long as what is returned.
@@ -95,7 +126,7 @@ impl Outbox {
             let before = address.checked_sub(sending.address)?;
             let is_of_it = before.checked_add(bytes.len())? <= sending.count;
             let start = sending.filed.start + before as u64;
-            is_of_it.then(|| Filed { file: Arc::clone(&sending.filed.file), start })
+            is_of_it.then(|| Filed { start, ..sending.filed.clone() })
         })
     }
 
@@ -119,26 +150,28 @@ impl Outbox {
     fn write(&self, stream: &TcpStream, parts: &[IoSlice<'_>]) -> io::Result<usize> {
         let mut all = 0;
         for (number, part) in parts.iter().enumerate() {
-            let filed = self.find(part).and_then(|filed| {
-                match system::send_file(stream, &filed.file, filed.start, part.len()) {
-                    Err(error) if error.kind() == io::ErrorKind::WouldBlock => Some(Err(error)),
-                    // It was cut, or is no file to send from: there are the bytes in memory.
-                    Ok(0) | Err(_) => None,
-                    sent => Some(sent),
-                }
-            });
-            let sent =
-                filed.unwrap_or_else(|| system::send(stream, part, number + 1 < parts.len()));
-            match sent {
-                Ok(sent) => {
-                    all += sent;
-                    if sent < part.len() {
-                        break;
+            let has_more = number + 1 < parts.len();
+            let mut rest: &[u8] = part;
+            while !rest.is_empty() {
+                let count = rest.len().min(PIECE);
+                let sent = match self.find(rest).and_then(|filed| filed.send(stream, count)) {
+                    Some(sent) => {
+                        self.counter.fetch_add(sent as u64, Relaxed);
+                        Ok(sent)
                     }
+                    None => system::send(stream, rest, has_more),
+                };
+                match sent {
+                    Ok(sent) => {
+                        (all, rest) = (all + sent, &rest[sent..]);
+                        if sent < count {
+                            return Ok(all);
+                        }
+                    }
+                    // What went before counts; why no more did is found at the next call.
+                    Err(_) if all > 0 => return Ok(all),
+                    Err(error) => return Err(error),
                 }
-                // What went before counts; why no more did is found at the next call.
-                Err(_) if all > 0 => break,
-                Err(error) => return Err(error),
             }
         }
         Ok(all)
@@ -170,13 +203,14 @@ mod system {
     use rustix::net::SendFlags;
     use tokio::net::TcpStream;
 
-    /// Length, and when the content and anything else of the file was last changed.
-    pub(super) type State = (i64, [i64; 2], [u64; 2]);
+    /// Which file it is, its length, and when the content and anything else of it was last changed.
+    pub(super) type State = ([u64; 2], i64, [i64; 2], [u64; 2]);
 
     pub(super) fn state(file: &File) -> Option<State> {
         let stat = fstat(file).ok()?;
         let nanoseconds = [stat.st_mtime_nsec, stat.st_ctime_nsec];
-        Some((stat.st_size, [stat.st_mtime, stat.st_ctime], nanoseconds))
+        let seconds = [stat.st_mtime, stat.st_ctime];
+        Some(([stat.st_dev, stat.st_ino], stat.st_size, seconds, nanoseconds))
     }
 
     /// Whether a byte can be read without waiting.
@@ -234,6 +268,7 @@ mod system {
 mod tests {
     use std::future::poll_fn;
     use std::io::Write as _;
+    use std::os::unix::fs::FileExt as _;
 
     use tokio::io::AsyncReadExt as _;
     use tokio::net::TcpListener;
@@ -243,8 +278,14 @@ mod tests {
     const COUNT: usize = 300_000;
     const START: u64 = 1000;
 
-    /// Sends `head`, and bytes in memory that are said to be those of `file`; what arrives.
-    async fn sent(head: &[u8], memory: &[u8], file: File) -> Vec<u8> {
+    /// Sends `head`, and bytes in memory that are said to be those of `file`, to which something is done then; what
+    /// arrives, and how many of its bytes came from the file.
+    async fn sent(
+        head: &[u8],
+        memory: &[u8],
+        file: File,
+        then: impl FnOnce(&File),
+    ) -> (Vec<u8>, usize) {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let reading = tokio::spawn(async move {
@@ -254,8 +295,12 @@ mod tests {
             all
         });
         let (stream, _) = listener.accept().await.unwrap();
-        let outbox = Arc::new(Outbox::default());
-        let known = outbox.know(memory, Filed { file: Arc::new(file), start: START });
+        let counter = Arc::<AtomicU64>::default();
+        let outbox = Outbox::new(Arc::clone(&counter));
+        let (state, file) = (system::state(&file).unwrap(), Arc::new(file));
+        let filed = Filed { file: Arc::downgrade(&file), state, start: START };
+        let known = outbox.know(memory, filed);
+        then(&file);
         let (mut head, mut body) = (head, memory);
         while !(head.is_empty() && body.is_empty()) {
             let parts = [IoSlice::new(head), IoSlice::new(body)];
@@ -271,7 +316,7 @@ mod tests {
         drop(known);
         assert!(!outbox.is_in_use());
         drop(stream);
-        reading.await.unwrap()
+        (reading.await.unwrap(), usize::try_from(counter.load(Relaxed)).unwrap())
     }
 
     fn file_of(bytes: &[u8]) -> File {
@@ -281,23 +326,41 @@ mod tests {
         file
     }
 
-    /// The file has other bytes than memory, so that it shows which were sent.
+    /// The file has other bytes than memory, so that it shows which were sent. All of it is in memory.
     #[tokio::test]
     async fn what_is_known_is_sent_from_its_file() {
         let memory: Vec<u8> = (0..251).cycle().take(COUNT).collect();
         let other: Vec<u8> = memory.iter().map(|byte| !byte).collect();
-        let arrived = sent(b"head", &memory, file_of(&other)).await;
+        let file = file_of(&other);
+        if !system::is_in_memory(&file, START) {
+            return;
+        }
+        let (arrived, from_file) = sent(b"head", &memory, file, |_| {}).await;
         assert!(arrived == [b"head", &other[..]].concat());
+        assert_eq!(from_file, COUNT);
     }
 
     #[tokio::test]
     async fn what_a_file_has_no_more_is_sent_from_memory() {
         let memory: Vec<u8> = (0..251).cycle().take(COUNT).collect();
         for left in [0, 1, COUNT / 2] {
-            let arrived = sent(b"head", &memory, file_of(&memory[..left])).await;
+            let arrived = sent(b"head", &memory, file_of(&memory[..left]), |_| {}).await.0;
             assert!(arrived == [b"head", &memory[..]].concat(), "{left}");
         }
         let closed = File::options().write(true).open("/dev/null").unwrap();
-        assert!(sent(b"", &memory, closed).await == memory);
+        assert!(sent(b"", &memory, closed, |_| {}).await == (memory, 0));
+    }
+
+    #[tokio::test]
+    async fn a_file_that_was_touched_is_not_sent_from() {
+        let memory: Vec<u8> = (0..251).cycle().take(COUNT).collect();
+        let other: Vec<u8> = memory.iter().map(|byte| !byte).collect();
+        let touches: [fn(&File); 2] = [
+            |file| file.write_all_at(b"x", START + 1000).unwrap(),
+            |file| file.set_len(START + COUNT as u64 + 1).unwrap(),
+        ];
+        for touch in touches {
+            assert!(sent(b"", &memory, file_of(&other), touch).await == (memory.clone(), 0));
+        }
     }
 }

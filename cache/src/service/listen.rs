@@ -172,7 +172,7 @@ where
     let watch = Watch::new(limits.stalled);
     let watched = Arc::clone(&watch);
     // HTTP/2 sends small pieces.
-    let outbox = (!is_http2).then(Arc::<Outbox>::default);
+    let outbox = (!is_http2).then(|| Outbox::new(Arc::clone(&hub.metrics.filed_bytes)));
     let io = TokioIo::new(Patient::new(stream, limits.stalled, outbox.clone()));
     let service = service_fn(move |request| {
         let (asked, outbox, answer) = (watched.request(), outbox.clone(), respond(request));

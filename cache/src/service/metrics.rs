@@ -1,6 +1,7 @@
 //! What is counted, as Prometheus reads it.
 
 use std::fmt::Write as _;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// Counters and gauges. Any thread may add to them.
@@ -10,6 +11,7 @@ pub(super) struct Metrics {
     pub(super) refused: AtomicU64,
     pub(super) failed: AtomicU64,
     pub(super) bytes: AtomicU64,
+    pub(super) filed_bytes: Arc<AtomicU64>,
     pub(super) hits: AtomicU64,
     pub(super) faults: AtomicU64,
     pub(super) damaged: AtomicU64,
@@ -47,6 +49,8 @@ impl Metrics {
         put("counter", "refused_total", "Requests and connections refused.", of(&self.refused));
         put("counter", "failed_total", "Requests answered with 5xx.", of(&self.failed));
         put("counter", "bytes_total", "Bytes of pages and archives.", of(&self.bytes));
+        let filed = of(&self.filed_bytes);
+        put("counter", "filed_bytes_total", "Of those, sent from archives without a copy.", filed);
         put("counter", "page_hits_total", "Pages answered from memory.", of(&self.hits));
         put("counter", "page_faults_total", "Pages read from disk.", of(&self.faults));
         put("counter", "damaged_total", "Reads that failed.", of(&self.damaged));

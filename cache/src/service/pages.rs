@@ -66,7 +66,7 @@ impl StoredPage {
 
     fn answer(&self, hub: &Hub, archive: &Archive, asked: &HeaderMap) -> Answer {
         hub.metrics.bytes.fetch_add(self.bytes.len() as u64, Relaxed);
-        let filed = self.origin.and_then(|origin| origin.now(archive, self.bytes.len()));
+        let filed = self.origin.and_then(|origin| origin.filed(archive, self.bytes.len()));
         let mut answer = Response::new(Content::whole(self.bytes.clone()).filed(filed));
         *answer.headers_mut() = self.headers.clone();
         tagged(answer, asked, &self.tag, IMMUTABLE)
@@ -160,6 +160,11 @@ async fn read(
 
 fn stored(archive: &Archive, page: PageAddress) -> Result<StoredPage, NoPage> {
     let entry = archive.find(page)?.ok_or(NoPage::Empty)?;
-    let origin = Origin::of(archive, entry);
-    Ok(StoredPage::new(&entry, archive.payload(&entry)?, origin))
+    // What counts is read after the file was looked at; where that is not open, a read opens it.
+    let (mut origin, mut bytes) = (Origin::of(archive, entry), archive.payload(&entry)?);
+    if origin.is_none() && !bytes.is_empty() {
+        origin = Origin::of(archive, entry);
+        bytes = archive.payload(&entry)?;
+    }
+    Ok(StoredPage::new(&entry, bytes, origin))
 }

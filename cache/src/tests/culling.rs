@@ -72,14 +72,21 @@ fn hidden(eye: DVec3, point: DVec3, radius: f64) -> bool {
     (eye + nearest * sight).length() < radius
 }
 
-/// Whether a point is in the picture and not behind the body.
-fn is_seen(scene: &Scene, view: &View, exaggeration: f64, point: DVec3) -> bool {
+/// The radius of the body below all terrain that is so many times as high.
+fn inner(datasets: &[&Gated], exaggeration: f64) -> f64 {
+    let entries = datasets.iter().flat_map(|dataset| &dataset.entries);
+    let lowest = entries.map(|entry| f64::from(entry.lowest)).fold(0.0, f64::min);
+    mars().ellipsoid.b().0 + exaggeration * lowest
+}
+
+/// Whether a point is in the picture and not behind the body, which is `inner` large.
+fn is_seen(view: &View, inner: f64, point: DVec3) -> bool {
     let up = (view.vertical_fov.0 / 2.0).tan();
     let right = up * f64::from(view.viewport[0]) / f64::from(view.viewport[1]);
     let seen = view.orientation.transpose() * (point - view.eye);
     let ahead = -seen.z;
     let in_frustum = ahead > 0.0 && seen.x.abs() <= right * ahead && seen.y.abs() <= up * ahead;
-    in_frustum && !hidden(view.eye, point, scene.radii(exaggeration)[0].0)
+    in_frustum && !hidden(view.eye, point, inner)
 }
 
 fn wanted_over(found: &Found, dataset: usize, page: PageAddress) -> Option<usize> {
@@ -98,7 +105,9 @@ fn wanted_over(found: &Found, dataset: usize, page: PageAddress) -> Option<usize
 
 /// Checks a view of terrain that is so many times as high; returns the points seen.
 fn check(datasets: &[&Gated], scene: &Scene, view: &View, exaggeration: f64) -> usize {
-    let mut memo = Memo::default();
+    let (mut memo, inner) = (Memo::default(), inner(datasets, exaggeration));
+    // What is remembered of other terrain is of no account.
+    search_exaggerated(scene, &mut memo, (view, exaggeration + 1.0), usize::MAX);
     let found = search_exaggerated(scene, &mut memo, (view, exaggeration), usize::MAX);
     assert!(found.unindexed.is_empty());
     let up = (view.vertical_fov.0 / 2.0).tan();
@@ -108,7 +117,7 @@ fn check(datasets: &[&Gated], scene: &Scene, view: &View, exaggeration: f64) -> 
         let finest = dataset.info.grid.pyramid().finest();
         for entry in dataset.entries.iter().filter(|entry| entry.page.level == finest) {
             for point in points(dataset, entry, 4, exaggeration) {
-                if !is_seen(scene, view, exaggeration, point) {
+                if !is_seen(view, inner, point) {
                     continue;
                 }
                 seen_points += 1;
@@ -119,7 +128,7 @@ fn check(datasets: &[&Gated], scene: &Scene, view: &View, exaggeration: f64) -> 
                 let sight = point - view.eye;
                 let cosine = sight.normalize().dot(view.axis());
                 let pixels = |seen: &Seen| {
-                    let bound = exaggeration * f64::from(seen.node.entry.bound);
+                    let bound = exaggeration.max(1.0) * f64::from(seen.node.entry.bound);
                     bound * scale / (sight.length() * cosine * cosine)
                 };
                 let error = pixels(wanted);
@@ -257,6 +266,7 @@ fn exaggerated_datasets_are_found() {
 fn what_is_seen_is_no_nearer_than_its_sight() {
     let (globe, cap) = both();
     let scene = scene(&[globe, cap]);
+    let inner = inner(&[globe, cap], 1.0);
     let (mut seen, mut tightest) = (0, f64::INFINITY);
     for step in 0..60_u32 {
         let chance = |salt| chance(PageAddress::new(Level(0), step, 1), salt);
@@ -274,7 +284,7 @@ fn what_is_seen_is_no_nearer_than_its_sight() {
             for entry in &dataset.entries {
                 let sight = lens.sight(&scene.datasets[place].node(*entry, 1.0).volume);
                 for point in points(dataset, entry, 4, 1.0) {
-                    if !is_seen(&scene, &view, 1.0, point) {
+                    if !is_seen(&view, inner, point) {
                         continue;
                     }
                     seen += 1;
@@ -353,6 +363,7 @@ fn searches_want_little_more_than_is_seen() {
     let (globe, cap) =
         (Gated::new("globe", fine_globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height));
     let (datasets, scene) = ([&globe, &cap], scene(&[&globe, &cap]));
+    let inner = inner(&datasets, 1.0);
     let (mut all, mut needed) = (0, 0);
     for (name, view) in [
         ("globe", view(0.0, 0.0, 1e7, 0.0)),
@@ -372,7 +383,7 @@ fn searches_want_little_more_than_is_seen() {
         let in_sight = |place: &usize| {
             let seen = &found.seen[*place];
             let mut points = points(datasets[seen.dataset], &seen.node.entry, 32, 1.0).into_iter();
-            points.any(|point| is_seen(&scene, &view, 1.0, point))
+            points.any(|point| is_seen(&view, inner, point))
         };
         let seen = found.wanted.iter().filter(|place| in_sight(place)).count();
         let (visited, wanted) = (found.visited, found.wanted.len());

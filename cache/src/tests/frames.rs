@@ -194,3 +194,21 @@ fn views_that_make_no_sense_do_no_harm() {
     let again = session.settle(&near);
     assert_eq!((again.pages.len(), again.missing), (truth.pages.len(), 0));
 }
+
+/// The same view of terrain that is higher is another.
+#[test]
+fn what_is_exaggerated_is_selected_anew() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let cache = globe.cache(PLENTY, 2);
+    let (mut session, mut other) = (cache.session(), cache.session());
+    let view = view(10.0, 20.0, 2e6, 30.0);
+    let plain = session.settle(&view);
+    session.exaggerate(20.0);
+    let asked = session.update(&view);
+    assert!(asked.missing > 0 && asked.wanted > plain.wanted, "{asked:?}");
+    let high = session.settle(&view);
+    other.exaggerate(20.0);
+    assert_eq!(addresses(&high), addresses(&other.settle(&view)));
+    session.exaggerate(1.0);
+    assert_eq!(addresses(&session.update(&view)), addresses(&plain));
+}

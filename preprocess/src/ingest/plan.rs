@@ -76,7 +76,8 @@ pub(super) fn plan(
     let Origins { parts, instead_of } =
         threads.install(|| origins(request, layout, placement, kind))?;
     let reading = &request.reading;
-    let files = fingerprints(&request.rasters, reading.within.as_ref(), watch)?;
+    let files =
+        threads.install(|| fingerprints(&request.rasters, reading.within.as_ref(), watch))?;
     let source = Source {
         files,
         crs: reading.crs.clone(),

@@ -34,6 +34,8 @@ pub(crate) const SEGMENTS: u32 = 16;
 /// rough terrain, meshes are then off by 0.14 px in 99 % of pixels; at 6 by 0.27, at 12 by 0.6
 /// (`testing/views.rs`).
 const SPACING_PX: f64 = 4.0;
+/// Factor on heights up to which that is enough: what a mesh is off by grows with it, and with the square of the spacing.
+const LOW: f64 = 4.0;
 /// Pixels between vertices everywhere: flat patches stay small enough for f32 weights.
 const WIDEST_SPACING_PX: f64 = 32.0;
 /// Texels between vertices at most where they are large on the screen.
@@ -174,6 +176,8 @@ pub(crate) struct Criterion {
     pixel_angle: f64,
     /// How many times as coarse as the view asks for everything may be.
     coarseness: f64,
+    /// Vertices to one where heights are as they are.
+    fineness: f64,
     spacing_px: f64,
     widest_px: f64,
     range_m: (f64, f64),
@@ -213,6 +217,7 @@ impl Criterion {
         let pixel_angle = pixel_angle(view);
         // A patch is never nearer than it is wide when it splits: of neighbors whose distances are
         // that much alike, none is two levels behind the other.
+        let fineness = (detail.exaggeration / LOW).max(1.0).sqrt();
         let widest_px = WIDEST_SPACING_PX.min(1.0 / (f64::from(SEGMENTS) * pixel_angle));
         Self {
             ellipsoid,
@@ -220,7 +225,8 @@ impl Criterion {
             planes,
             pixel_angle,
             coarseness,
-            spacing_px: (SPACING_PX * view.tolerance_px.max(0.1)).min(widest_px),
+            fineness,
+            spacing_px: (SPACING_PX / fineness * view.tolerance_px.max(0.1)).min(widest_px),
             widest_px,
             range_m: detail.range_m,
             horizon_m,
@@ -272,7 +278,7 @@ impl Criterion {
             return (Verdict::Coarse(must / self.coarseness), note);
         }
         let texels = spacing_m / detail.finest_texel_m(note);
-        let wanted = must.max(may.min(texels / SPACING_TEXELS));
+        let wanted = must.max(may.min(self.fineness * texels / SPACING_TEXELS));
         (Verdict::Coarse(wanted / self.coarseness), note)
     }
 

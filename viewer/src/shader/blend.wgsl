@@ -13,13 +13,13 @@
 // Tolerances from which on the finer page shows alone.
 override BLENDED: f32 = 1.25;
 
-// Meters of height at a place that show as large as the tolerance across the line of sight, exaggerated:
-// d cos² α times the pixel's angle at the center.
+// Meters of height at a place that show as large as the tolerance across the line of sight, exaggerated where
+// that makes them larger: d cos² α times the pixel's angle at the center.
 fn tolerance_m_at(position: vec3f) -> f32 {
     let along = dot(scene.backward, position);
     let distance = max(length(position), 1e-6);
     let tolerance_m = along * along / distance * scene.pixel_angle * scene.tolerance_px;
-    return max(tolerance_m / max(scene.exaggeration, 1e-6), 1e-9);
+    return max(tolerance_m / max(scene.exaggeration, 1.0), 1e-9);
 }
 
 fn share_of_finer(coarser: f32, finer: f32) -> f32 {

@@ -49,7 +49,7 @@ const FIELD_Y: f64 = INSET[1];
 const PEAK_X: f64 = PEAK[0];
 const PEAK_Y: f64 = PEAK[1];
 
-const VIEWS: [Named; 36] = [
+const VIEWS: [Named; 38] = [
     mars("disc", [30.0, 20.0, 9e6], [17.0, DOWN], 45.0),
     mars("disc from near", [-100.0, -5.0, 2e6], [200.0, DOWN], 70.0),
     mars("limb", [77.0, -40.0, 8e5], [30.0, -32.0], 50.0),
@@ -85,6 +85,8 @@ const VIEWS: [Named; 36] = [
     mars("high oblique", [11.0, 0.3, 1.2e5], [80.0, -25.0], 50.0).times(4.0),
     mars("high ground", [100.0, -44.0, 50.0], [190.0, -6.0], 60.0).times(3.0),
     mars("high south pole", [140.0, -88.8, 5e4], [180.0, -25.0], 50.0).times(5.0),
+    mars("steep oblique", [-60.0, 47.0, 6e4], [-30.0, -18.0], 45.0).times(8.0),
+    mars("steeper oblique", [-60.0, 47.0, 6e4], [-30.0, -18.0], 45.0).times(20.0),
     on_earth("high peak on the horizon", [PEAK_X - 2.9, PEAK_Y, 200.0], [90.0, 0.5], 8.0)
         .times(2.0),
 ];
