@@ -27,7 +27,7 @@ use system::State;
 const WORTH_FINDING: usize = 32 << 10;
 
 /// At most so many are sent from a file at a time: what lies between two bytes in memory most probably is, too.
-const PIECE: usize = 256 << 10;
+const PIECE: usize = 1 << 20;
 
 /// Where a page's bytes were read from.
 #[derive(Clone, Copy, Debug)]
