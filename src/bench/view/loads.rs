@@ -51,7 +51,8 @@ pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
             thread::sleep(PAUSE);
             let costs: &mut Vec<Cost> = if block % 2 == 1 { &mut with } else { &mut without };
             let before = stage.cache().stats().loads;
-            costs.extend((0..each).map(|number| stage.frame(1 + number)));
+            // No view is drawn twice: it would cost nothing.
+            costs.extend((0..each).map(|number| stage.frame(1 + each * block + number)));
             if block % 2 == 1 {
                 loaded += stage.cache().stats().loads - before;
                 loading_s += costs[costs.len() - each as usize..]
