@@ -108,8 +108,8 @@ pub fn insert(
 
 /// Lowers this thread's priority, and so that of the threads it will start. Linux counts it by thread.
 ///
-/// However nice a thread is, others that wake wait until it has had a slice of some milliseconds. Idle ones they
-/// interrupt.
+/// However nice a thread is, others that wake wait until it has had a slice of some milliseconds. Idle ones
+/// they interrupt.
 #[cfg(target_os = "linux")]
 fn give_way() {
     use thread_priority::{

@@ -1,15 +1,15 @@
 //! Bytes in memory that lie in a file, too, and are sent from there.
 //!
-//! What a socket is given from the process's memory is copied. What it is given from a file is not: it refers to the
-//! memory in which the system has that part of the file, which a page that was read of late still is. So an answer
-//! carries bytes in memory, proven, and beside them where the archive has the same. The connection's writes know such
-//! bytes by their address ([`Outbox`]) and let the system take them from the file. Where that is not what it was when
-//! they were read, where a disk would have to be waited for, and where a system or its file system cannot tell, they are
-//! sent from memory.
+//! What a socket is given from the process's memory is copied. What it is given from a file is not: it
+//! refers to the memory in which the system has that part of the file, which a page that was read of late
+//! still is. So an answer carries bytes in memory, proven, and beside them where the archive has the same.
+//! The connection's writes know such bytes by their address ([`Outbox`]) and let the system take them from
+//! the file. Where that is not what it was when they were read, where a disk would have to be waited for,
+//! and where a system or its file system cannot tell, they are sent from memory.
 //!
-//! The file is looked at before each piece that is sent of it. What changes in it until the client's system has the
-//! piece, and what a medium that is read anew makes of it without a change of its times, is the client's to find:
-//! it has the checksum.
+//! The file is looked at before each piece that is sent of it. What changes in it until the client's system
+//! has the piece, and what a medium that is read anew makes of it without a change of its times, is the
+//! client's to find: it has the checksum.
 
 use std::fs::File;
 use std::io::{self, IoSlice};
@@ -26,7 +26,8 @@ use system::State;
 /// Fewer bytes than that are copied faster than they are found in a file.
 const WORTH_FINDING: usize = 32 << 10;
 
-/// At most so many are sent from a file at a time: what lies between two bytes in memory most probably is, too.
+/// At most so many are sent from a file at a time: what lies between two bytes in memory most probably is,
+/// too.
 const PIECE: usize = 1 << 20;
 
 /// Where a page's bytes were read from.
@@ -197,20 +198,20 @@ impl Drop for Known {
 mod system {
     use std::fs::File;
     use std::io::{self, IoSliceMut};
+    use std::os::unix::fs::MetadataExt as _;
 
-    use rustix::fs::{fstat, sendfile};
+    use rustix::fs::sendfile;
     use rustix::io::{ReadWriteFlags, preadv2};
     use rustix::net::SendFlags;
     use tokio::net::TcpStream;
 
     /// Which file it is, its length, and when the content and anything else of it was last changed.
-    pub(super) type State = ([u64; 2], i64, [i64; 2], [u64; 2]);
+    pub(super) type State = ([u64; 3], [i64; 4]);
 
     pub(super) fn state(file: &File) -> Option<State> {
-        let stat = fstat(file).ok()?;
-        let nanoseconds = [stat.st_mtime_nsec, stat.st_ctime_nsec];
-        let seconds = [stat.st_mtime, stat.st_ctime];
-        Some(([stat.st_dev, stat.st_ino], stat.st_size, seconds, nanoseconds))
+        let now = file.metadata().ok()?;
+        let times = [now.mtime(), now.mtime_nsec(), now.ctime(), now.ctime_nsec()];
+        Some(([now.dev(), now.ino(), now.size()], times))
     }
 
     /// Whether a byte can be read without waiting.
@@ -278,8 +279,8 @@ mod tests {
     const COUNT: usize = 300_000;
     const START: u64 = 1000;
 
-    /// Sends `head`, and bytes in memory that are said to be those of `file`, to which something is done then; what
-    /// arrives, and how many of its bytes came from the file.
+    /// Sends `head`, and bytes in memory that are said to be those of `file`, to which something is done
+    /// then; what arrives, and how many of its bytes came from the file.
     async fn sent(
         head: &[u8],
         memory: &[u8],

@@ -34,7 +34,8 @@ pub(crate) const SEGMENTS: u32 = 16;
 /// rough terrain, meshes are then off by 0.14 px in 99 % of pixels; at 6 by 0.27, at 12 by 0.6
 /// (`testing/views.rs`).
 const SPACING_PX: f64 = 4.0;
-/// Factor on heights up to which that is enough: what a mesh is off by grows with it, and with the square of the spacing.
+/// Factor on heights up to which that is enough: what a mesh is off by grows with it, and with the square
+/// of the spacing.
 const LOW: f64 = 4.0;
 /// Pixels between vertices everywhere: flat patches stay small enough for f32 weights.
 const WIDEST_SPACING_PX: f64 = 32.0;
