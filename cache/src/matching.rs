@@ -43,7 +43,7 @@ struct Mark {
 
 impl Seen {
     pub(crate) fn name(&self, scene: &Scene) -> PageName {
-        PageName { dataset: scene.datasets[self.dataset].number, page: self.node.entry.page }
+        PageName { dataset: scene.number(self.dataset), page: self.node.entry.page }
     }
 }
 

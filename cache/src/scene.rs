@@ -175,6 +175,11 @@ impl Scene {
         u32::try_from(self.slots.len() - 1).expect("fewer than 2^32 datasets")
     }
 
+    /// The number of the dataset at a place.
+    pub(crate) fn number(&self, place: usize) -> usize {
+        self.numbers[place]
+    }
+
     /// Where the dataset of a number stands.
     pub(crate) fn place(&self, number: usize) -> Option<usize> {
         self.numbers.binary_search(&number).ok()

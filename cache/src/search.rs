@@ -168,16 +168,16 @@ impl Search<'_> {
         found.visited += 1;
         let Branch { bounds, largest_m, parts } = self.scene.tree.branch(branch);
         let bounds = bounds.grown(self.shift_m);
-        let mut sights = self.lenses.iter().map(|lens| {
-            if lens.misses_box(&bounds) { Sight::NONE } else { lens.sight_of_box(&bounds) }
-        });
         match parts {
             Parts::Item(slot) => {
-                if sights.any(|sight| sight.is_seen()) {
+                if self.lenses.iter().any(|lens| !lens.misses_box(&bounds)) {
                     self.open(self.scene.slots[slot as usize], memo, found);
                 }
             }
             Parts::Branches(_) => {
+                let sights = self.lenses.iter().map(|lens| {
+                    if lens.misses_box(&bounds) { Sight::NONE } else { lens.sight_of_box(&bounds) }
+                });
                 let pixels = self.worst(largest_m + 2.0 * self.shift_m, sights);
                 if pixels >= Lens::SMALLEST_PX {
                     found.heap.push(Candidate::new(pixels, branch, Step::Climb));
@@ -342,9 +342,9 @@ impl Search<'_> {
             let Seen { dataset, node, .. } = seen[place];
             let dataset = &self.scene.datasets[dataset];
             let page = node.entry.page;
-            if page.level == dataset.finest
-                || self.lenses.iter().any(|lens| lens.holds(&node.volume))
-            {
+            let is_shown =
+                |lens: &Lens| lens.shows(node.volume.bounds().center) || lens.holds(&node.volume);
+            if page.level == dataset.finest || self.lenses.iter().any(is_shown) {
                 return true;
             }
             let unseen =
