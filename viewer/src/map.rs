@@ -7,7 +7,7 @@
 use areoid_cache::DatasetInfo;
 use areoid_formats::address::{Level, PageAddress};
 use areoid_formats::body::Ellipsoid;
-use areoid_formats::geodesy::{Geographic, LatitudeKind, geographic_from_normal, surface_normal};
+use areoid_formats::geodesy::{Geographic, LatitudeKind, surface_normal};
 use areoid_formats::grid::{Grid, TexelPoint};
 use areoid_formats::projection::{Crs, Pole, Projection};
 use areoid_formats::pyramid::PoleContact;
@@ -200,16 +200,22 @@ impl DatasetMap {
         }
     }
 
-    /// The anchor of a frame with these axes, for places within a chord of `reach` of it; `None` where
-    /// the map does not reach them. `dataset` is its place among the shaders' datasets.
+    /// The anchor of a frame at a position, with these axes, for places within a chord of `reach` of it;
+    /// `None` where the map does not reach them. `dataset` is its place among the shaders' datasets.
     #[expect(clippy::cast_possible_truncation, reason = "whole texels, and fractions of one")]
-    pub(crate) fn anchor(&self, dataset: u32, axes: &DMat3, reach: f64) -> Option<mirror::Anchor> {
+    pub(crate) fn anchor(
+        &self,
+        dataset: u32,
+        position: Geographic,
+        axes: &DMat3,
+        reach: f64,
+    ) -> Option<mirror::Anchor> {
         let up = axes.z_axis;
         if !self.cap.meets(up, reach) {
             return None;
         }
         let grid = &self.info.grid;
-        let point = grid.crs().project(geographic_from_normal(up))?;
+        let point = grid.crs().project(position)?;
         let place = grid.texel_from_map(grid.pyramid().finest(), point);
         if !(place.x.abs() < MOST_TEXELS && place.y.abs() < MOST_TEXELS) {
             return None;

@@ -9,8 +9,6 @@
 //! * `ARCHITECTURE.md`: the horizon test, for an inscribed sphere below the lowest terrain.
 //! * Virtual Globes §12.1: error in pixels by distance; frustum planes.
 
-use std::collections::HashMap;
-
 use areoid_cache::View;
 use areoid_formats::address::PageAddress;
 use areoid_formats::body::Ellipsoid;
@@ -18,8 +16,9 @@ use areoid_formats::geodesy::geographic_from_normal;
 use areoid_formats::grid::Grid;
 use areoid_formats::page::Kind;
 use glam::DVec3;
+use rustc_hash::FxHashMap;
 
-use super::frame::reference_point;
+use super::frame::{Ground, reference_point};
 use super::sphere::distance_to_triangle;
 use super::tree::{Asked, Note, Verdict};
 use crate::camera::pixel_angle;
@@ -52,8 +51,8 @@ const NEAREST_M: f64 = 0.25;
 const DEEPEST: u8 = 26;
 /// The first triangles curve too much for tests by their corners.
 const FIRST_FLAT: u8 = 3;
-/// Heights kept from view to view.
-const MOST_HEIGHTS: usize = 1 << 18;
+/// Places whose ground is kept from view to view.
+const MOST_GROUNDS: usize = 1 << 18;
 
 /// Where a page lies, and what it has.
 #[derive(Clone, Copy, Debug)]
@@ -66,6 +65,15 @@ struct PagePlace {
     radius_m: f64,
 }
 
+/// A corner of a view's tree.
+#[derive(Clone, Copy, Debug)]
+struct Corner {
+    /// On the reference surface, in body-fixed meters.
+    base: DVec3,
+    /// Of the terrain above it, exaggerated; `None` before anybody asks.
+    height_m: Option<f64>,
+}
+
 /// What the pages in memory say about detail; it outlives views.
 #[derive(Debug, Default)]
 pub(crate) struct Detail {
@@ -73,7 +81,9 @@ pub(crate) struct Detail {
     places: Vec<PagePlace>,
     /// Exaggerated.
     range_m: (f64, f64),
-    heights: HashMap<[u64; 3], f32>,
+    grounds: FxHashMap<[u64; 3], Ground>,
+    /// By number, of one view's tree.
+    corners: Vec<Option<Corner>>,
     /// Numbers of places, those about one triangle after those about another: of one view.
     about: Vec<u32>,
     pub(crate) exaggeration: f64,
@@ -96,7 +106,7 @@ impl Detail {
         );
         let (low, high) = surface.height_range_m();
         self.range_m = (low * exaggeration, high * exaggeration);
-        self.heights.clear();
+        self.grounds.clear();
         self.exaggeration = exaggeration;
     }
 
@@ -105,16 +115,44 @@ impl Detail {
         self.range_m.1
     }
 
-    /// The height of the finest surface at a normal, rounded once for all users.
+    /// The finest surface at a normal, its height rounded once for all users.
     #[expect(clippy::cast_possible_truncation, reason = "rounded on purpose")]
-    pub(crate) fn height_m(&mut self, surface: &Surface, normal: DVec3) -> f32 {
-        if self.heights.len() > MOST_HEIGHTS {
-            self.heights.clear();
+    pub(crate) fn ground(&mut self, surface: &Surface, normal: DVec3) -> Ground {
+        if self.grounds.len() > MOST_GROUNDS {
+            self.grounds.clear();
         }
-        *self.heights.entry(normal.to_array().map(f64::to_bits)).or_insert_with(|| {
-            let found = surface.compose(Kind::Height, geographic_from_normal(normal), 0.0);
-            found.map_or(0.0, |found| found.value[0]) as f32
+        *self.grounds.entry(normal.to_array().map(f64::to_bits)).or_insert_with(|| {
+            let position = geographic_from_normal(normal);
+            let found = surface.compose(Kind::Height, position, 0.0);
+            Ground { position, height_m: found.map_or(0.0, |found| found.value[0]) as f32 }
         })
+    }
+
+    fn corner(&mut self, ellipsoid: &Ellipsoid, number: u32, normal: DVec3) -> &mut Corner {
+        let number = number as usize;
+        if number >= self.corners.len() {
+            self.corners.resize(number + 1, None);
+        }
+        let corner = || Corner { base: reference_point(ellipsoid, normal), height_m: None };
+        self.corners[number].get_or_insert_with(corner)
+    }
+
+    /// The exaggerated height of the finest surface at a corner, and the point there.
+    fn lift(
+        &mut self,
+        surface: &Surface,
+        ellipsoid: &Ellipsoid,
+        number: u32,
+        normal: DVec3,
+    ) -> (f64, DVec3) {
+        let Corner { base, height_m } = *self.corner(ellipsoid, number, normal);
+        let height_m = height_m.unwrap_or_else(|| {
+            let ground = self.ground(surface, normal);
+            let height_m = self.exaggeration * f64::from(ground.height_m);
+            self.corner(ellipsoid, number, normal).height_m = Some(height_m);
+            height_m
+        });
+        (height_m, base + height_m * normal)
     }
 
     /// Notes the pages that meet a triangle; what meets it meets its parent, of which `parent` tells.
@@ -172,6 +210,8 @@ fn place_of(grid: &Grid, page: PageAddress, [low_m, high_m]: [f64; 2]) -> PagePl
 pub(crate) struct Criterion {
     ellipsoid: Ellipsoid,
     eye: DVec3,
+    /// Its direction from the body's center.
+    toward_eye: DVec3,
     /// Inward normals through the eye.
     planes: [DVec3; 5],
     pixel_angle: f64,
@@ -195,6 +235,7 @@ impl Criterion {
         coarseness: f64,
     ) -> Self {
         detail.about.clear();
+        detail.corners.clear();
         let [right, up, backward] =
             [view.orientation.x_axis, view.orientation.y_axis, view.orientation.z_axis];
         let tangent_y = (view.vertical_fov.0 / 2.0).tan();
@@ -223,6 +264,7 @@ impl Criterion {
         Self {
             ellipsoid,
             eye: view.eye,
+            toward_eye: view.eye.normalize(),
             planes,
             pixel_angle,
             coarseness,
@@ -239,17 +281,22 @@ impl Criterion {
         &self,
         detail: &mut Detail,
         surface: &Surface,
-        Asked { corners, depth, parent }: Asked,
+        Asked { corners, numbers, depth, parent }: Asked,
     ) -> (Verdict, Note) {
         let [a, b, c] = corners;
         let side = a.distance(b).max(b.distance(c)).max(c.distance(a));
         let center = ((a + b + c) / 3.0).normalize();
         let reach = center.distance(a).max(center.distance(b)).max(center.distance(c));
-        if self.beyond_horizon(center, reach)
-            || (depth >= FIRST_FLAT && self.out_of_frustum(corners, side))
-        {
-            // Its parts are out of sight as well.
+        // Where a triangle is out of sight, its parts are as well.
+        if self.beyond_horizon(center, reach) {
             return (Verdict::Hidden, Note::default());
+        }
+        if depth >= FIRST_FLAT {
+            let bases =
+                [0, 1, 2].map(|i| detail.corner(&self.ellipsoid, numbers[i], corners[i]).base);
+            if self.out_of_frustum(corners, bases, side) {
+                return (Verdict::Hidden, Note::default());
+            }
         }
         let note = detail.note(parent, center, reach);
         if depth >= DEEPEST {
@@ -257,14 +304,13 @@ impl Criterion {
         }
 
         let radius = self.ellipsoid.a().0;
-        let exaggeration = detail.exaggeration;
-        let heights =
-            corners.map(|corner| exaggeration * f64::from(detail.height_m(surface, corner)));
-        let lifted = [0, 1, 2]
-            .map(|i| reference_point(&self.ellipsoid, corners[i]) + heights[i] * corners[i]);
+        let lifted =
+            [0, 1, 2].map(|i| detail.lift(surface, &self.ellipsoid, numbers[i], corners[i]));
+        let heights = lifted.map(|(height_m, _)| height_m);
         let relief = heights.iter().fold(0.0_f64, |most, h| most.max((h - heights[0]).abs()));
         let bulge = radius * side * side / 6.0;
-        let distance = distance_to_triangle(self.eye, lifted) - bulge - relief;
+        let distance =
+            distance_to_triangle(self.eye, lifted.map(|(_, point)| point)) - bulge - relief;
         let distance = distance.min(detail.nearest_within_m(note, reach, self.eye));
         let pixel_m = self.pixel_angle * distance.max(NEAREST_M);
 
@@ -289,21 +335,48 @@ impl Criterion {
         let outer = self.ellipsoid.a().0 + self.range_m.1;
         // A point's direction differs from its normal's by less than the first term.
         let reach = reach + 2.0 * self.ellipsoid.eccentricity_squared();
-        let angle =
-            self.eye.normalize().angle_between(center) - 2.0 * (reach / 2.0).min(1.0).asin();
-        let along = angle.clamp(0.0, std::f64::consts::PI).cos();
+        let along = cosine_nearer(self.toward_eye.dot(center), reach);
         along * if along > 0.0 { outer } else { self.ellipsoid.b().0 + self.range_m.0 } < limit
     }
 
-    fn out_of_frustum(&self, corners: [DVec3; 3], side: f64) -> bool {
+    fn out_of_frustum(&self, corners: [DVec3; 3], bases: [DVec3; 3], side: f64) -> bool {
         let (low, high) = self.range_m;
         // The top bulges above its corners.
         let bulge = (self.ellipsoid.a().0 + high) * side * side / 5.0;
-        let volume = corners.map(|normal| {
-            let base = reference_point(&self.ellipsoid, normal) - self.eye;
+        let volume = [0, 1, 2].map(|i| {
+            let (base, normal) = (bases[i] - self.eye, corners[i]);
             [base + (low - 1.0) * normal, base + (high + bulge + 1.0) * normal]
         });
         let points = volume.as_flattened();
         self.planes.iter().any(|plane| points.iter().all(|point| plane.dot(*point) < 0.0))
+    }
+}
+
+/// The cosine of an angle less that of the arc over a chord, from 0 on: of two directions, one of which may
+/// be so much nearer.
+fn cosine_nearer(cosine: f64, chord: f64) -> f64 {
+    let cosine = cosine.clamp(-1.0, 1.0);
+    let half = (0.5 * chord).min(1.0);
+    let cosine_of_arc = 1.0 - 2.0 * half * half;
+    if cosine >= cosine_of_arc {
+        return 1.0;
+    }
+    let sine_of_arc = 2.0 * half * (1.0 - half * half).sqrt();
+    cosine * cosine_of_arc + (1.0 - cosine * cosine).sqrt() * sine_of_arc
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_direction_is_nearer_by_an_arc(angle in 0.0..std::f64::consts::PI, chord in 0.0..2.5_f64) {
+            let arc = 2.0 * (chord / 2.0).min(1.0).asin();
+            let expected = (angle - arc).max(0.0).cos();
+            let found = cosine_nearer(angle.cos(), chord);
+            prop_assert!((found - expected).abs() < 1e-12, "{} {}", found, expected);
+        }
     }
 }

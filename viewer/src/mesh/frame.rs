@@ -5,20 +5,29 @@
 //! axes east, north and up.
 
 use areoid_formats::body::Ellipsoid;
+use areoid_formats::geodesy::Geographic;
 use bytemuck::Zeroable;
 use glam::{DMat3, DVec3};
 
 use crate::mirror;
 
+/// The terrain at a place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Ground {
+    pub(crate) position: Geographic,
+    /// An `f32`, so that the shaders subtract the same number.
+    pub(crate) height_m: f32,
+}
+
 /// A place and its axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Frame {
-    /// Body-fixed meters, exaggerated `height_m` above the reference surface.
+    /// Body-fixed meters, an exaggerated height above the reference surface.
     pub(crate) origin: DVec3,
     /// Columns east, north and up. On the axis those of the meridian of longitude 0.
     pub(crate) axes: DMat3,
-    /// Roughly the height of the terrain; an `f32`, so that the shaders subtract the same number.
-    pub(crate) height_m: f32,
+    /// Roughly the terrain.
+    pub(crate) ground: Ground,
     /// How far from it places are told by it, as a chord.
     pub(crate) reach: f64,
 }
@@ -50,19 +59,19 @@ impl Frame {
     pub(crate) fn new(
         ellipsoid: &Ellipsoid,
         normal: DVec3,
-        height_m: f32,
+        ground: Ground,
         exaggeration: f64,
     ) -> Self {
-        let origin =
-            reference_point(ellipsoid, normal) + exaggeration * f64::from(height_m) * normal;
-        Self { origin, axes: axes_at(normal), height_m, reach: 0.0 }
+        let height_m = exaggeration * f64::from(ground.height_m);
+        let origin = reference_point(ellipsoid, normal) + height_m * normal;
+        Self { origin, axes: axes_at(normal), ground, reach: 0.0 }
     }
 
     /// The frame for the shaders of one view: rounded to `f32` as an offset from the eye.
     pub(crate) fn seen_from(&self, eye: DVec3) -> mirror::Frame {
         mirror::Frame {
             origin: (self.origin - eye).as_vec3().to_array(),
-            height: self.height_m,
+            height: self.ground.height_m,
             east: self.axes.x_axis.as_vec3().to_array(),
             north: self.axes.y_axis.as_vec3().to_array(),
             up: self.axes.z_axis.as_vec3().to_array(),

@@ -8,7 +8,7 @@ use areoid_formats::body::Ellipsoid;
 use glam::DVec3;
 
 use super::detail::{Criterion, Detail, SEGMENTS};
-use super::frame::{Frame, reference_point};
+use super::frame::{Frame, Ground, reference_point};
 use super::tree::{Patch, Tree};
 use crate::map::Maps;
 use crate::mirror;
@@ -87,7 +87,7 @@ impl Mesh {
         self.mirrored_edge.clear();
         for patch in tree.patches() {
             let patch = self.mirror_patch(&tree, patch, ellipsoid, &mut |normal| {
-                detail.height_m(surface, normal)
+                detail.ground(surface, normal)
             });
             self.patches.push(patch);
         }
@@ -107,7 +107,12 @@ impl Mesh {
                         break;
                     }
                     let reach = frame.reach + SLOPE_REACH;
-                    self.anchors.extend(map.anchor(dataset, &frame.axes, reach));
+                    self.anchors.extend(map.anchor(
+                        dataset,
+                        frame.ground.position,
+                        &frame.axes,
+                        reach,
+                    ));
                 }
                 lists[plane as usize + 1] = count(self.anchors.len());
             }
@@ -133,19 +138,19 @@ impl Mesh {
         tree: &Tree,
         patch: &Patch,
         ellipsoid: Ellipsoid,
-        height_m: &mut impl FnMut(DVec3) -> f32,
+        ground: &mut impl FnMut(DVec3) -> Ground,
     ) -> mirror::Patch {
         let mut sides = 0;
         let mut edges = [0; 3];
         for (i, side) in patch.edges.iter().enumerate() {
             sides |= (side.first | side.last << 2) << (4 * i);
-            edges[i] = self.mirror_edge(tree, side.edge, ellipsoid, height_m);
+            edges[i] = self.mirror_edge(tree, side.edge, ellipsoid, ground);
         }
         let corners = patch.corners.map(|i| tree.corners()[i as usize]);
         let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
         let normal = middle.normalize();
         let frame =
-            self.add_frame(Frame::new(&ellipsoid, normal, height_m(normal), self.exaggeration));
+            self.add_frame(Frame::new(&ellipsoid, normal, ground(normal), self.exaggeration));
         let reach = corners.iter().map(|corner| corner.distance(normal)).fold(0.0, f64::max);
         self.frames[frame as usize].reach = 2.0 * reach;
         let axes = self.frames[frame as usize].axes;
@@ -170,7 +175,7 @@ impl Mesh {
         tree: &Tree,
         edge: u32,
         ellipsoid: Ellipsoid,
-        height_m: &mut impl FnMut(DVec3) -> f32,
+        ground: &mut impl FnMut(DVec3) -> Ground,
     ) -> u32 {
         let index = edge as usize;
         if self.mirrored_edge.len() <= index {
@@ -183,7 +188,7 @@ impl Mesh {
         let frames = [edge.start, edge.middle(), edge.end].map(|corner| {
             if self.frame_of_corner[corner as usize] == NONE {
                 let normal = tree.corners()[corner as usize];
-                let frame = Frame::new(&ellipsoid, normal, height_m(normal), self.exaggeration);
+                let frame = Frame::new(&ellipsoid, normal, ground(normal), self.exaggeration);
                 self.frame_of_corner[corner as usize] = self.add_frame(frame);
             }
             self.frame_of_corner[corner as usize]
@@ -238,7 +243,7 @@ impl Mesh {
         let [to_b, to_c] = weights.map(f64::from);
         let chord = a + to_b * (b - a) + to_c * (c - a) + DVec3::Z * f64::from(patch.distance);
         let normal = (self.frames[patch.frame as usize].axes * chord).normalize();
-        let base_m = f64::from(self.frames[patch.frame as usize].height_m);
+        let base_m = f64::from(self.frames[patch.frame as usize].ground.height_m);
         (normal, reference_point(ellipsoid, normal), base_m)
     }
 }

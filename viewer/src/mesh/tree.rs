@@ -95,6 +95,8 @@ pub(crate) struct Note {
 pub(crate) struct Asked {
     /// Unit vectors, counterclockwise from outside.
     pub(crate) corners: [DVec3; 3],
+    /// Their numbers in the tree.
+    pub(crate) numbers: [u32; 3],
     /// Splits since the icosahedron.
     pub(crate) depth: u8,
     /// What was written down about the triangle that it is a part of; none at depth 0.
@@ -196,8 +198,9 @@ impl Tree {
     /// Asks about a triangle, and keeps what is said.
     fn ask(&mut self, index: usize, verdict: &mut impl FnMut(Asked) -> (Verdict, Note)) {
         let triangle = &mut self.triangles[index];
-        let corners = triangle.corners.map(|i| self.corners[i as usize]);
-        let asked = Asked { corners, depth: triangle.depth, parent: triangle.note };
+        let Triangle { corners: numbers, depth, note: parent, .. } = *triangle;
+        let corners = numbers.map(|i| self.corners[i as usize]);
+        let asked = Asked { corners, numbers, depth, parent };
         let (verdict, note) = verdict(asked);
         triangle.note = Some(note);
         match verdict {
