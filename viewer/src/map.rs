@@ -12,7 +12,7 @@ use areoid_formats::grid::{Grid, TexelPoint};
 use areoid_formats::projection::{Crs, Pole, Projection};
 use areoid_formats::pyramid::PoleContact;
 use areoid_formats::units::Radians;
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 
 use crate::mirror;
 use crate::style::{Part, Plane};
@@ -200,17 +200,16 @@ impl DatasetMap {
         }
     }
 
-    /// The anchor of a frame at a position, with these axes, for places within a chord of `reach` of it;
-    /// `None` where the map does not reach them. `dataset` is its place among the shaders' datasets.
+    /// The anchor of a frame at a position, whose normal is `up`, for places within a chord of `reach` of
+    /// it; `None` where the map does not reach them. `dataset` is its place among the shaders' datasets.
     #[expect(clippy::cast_possible_truncation, reason = "whole texels, and fractions of one")]
     pub(crate) fn anchor(
         &self,
         dataset: u32,
         position: Geographic,
-        axes: &DMat3,
+        up: DVec3,
         reach: f64,
     ) -> Option<mirror::Anchor> {
-        let up = axes.z_axis;
         if !self.cap.meets(up, reach) {
             return None;
         }
@@ -224,9 +223,8 @@ impl DatasetMap {
         let matrix = match self.factors {
             Factors::Equirectangular([x, y]) => [x, 0.0, 0.0, -y],
             Factors::Polar { pole, central_meridian, radius: [x, y] } => {
-                // East is (-sin λ, cos λ, 0) also on the axis.
-                let longitude = (-axes.x_axis.x).atan2(axes.x_axis.y);
-                let (sine, cosine) = (longitude - central_meridian).sin_cos();
+                // A frame on the axis has those of longitude 0, as its position does.
+                let (sine, cosine) = (position.longitude.0 - central_meridian).sin_cos();
                 let stretch = self.conformal_factor(pole, up.z);
                 let sign = pole.sign();
                 let (x, y) = (x * stretch, sign * y * stretch);

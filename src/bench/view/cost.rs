@@ -22,7 +22,7 @@ const ALTITUDES_M: [f64; 3] = [1e5, 5e5, 2.5e6];
 
 const PLENTY: usize = 2 << 30;
 
-/// Of selection and encoding, at so many patches.
+/// Of selection and encoding, at so many patches or more.
 const CPU_LIMIT_MS: f64 = 2.0;
 const PATCHES: usize = 300;
 const POLE_LIMIT: f64 = 1.5;
@@ -41,15 +41,15 @@ pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
     });
     let spots: Vec<Spot> = spots.collect();
     let mut globe = stage(&split, 1, spots[0])?;
-    let usual_spot = usual(&mut many[0]);
+    let usual_spot = find_usual(&mut many[0]);
 
     let yardstick = Yardstick::new(gpu, size);
     trivial(gpu, &yardstick);
-    let (mut yard, mut often) = (Vec::new(), Vec::new());
+    let (mut yard, mut usual) = (Vec::new(), Vec::new());
     let (mut drawn, mut ends) = (vec![Vec::new(); TIMES.len()], vec![Vec::new(); spots.len()]);
     for round in 1..=setting.rounds {
         yard.push(trivial(gpu, &yardstick));
-        often.push(many[0].at(usual_spot, round));
+        usual.push(many[0].at(usual_spot, round));
         many[0].turn(OVER);
         for (stage, costs) in many.iter_mut().zip(&mut drawn) {
             costs.push(stage.frame(round));
@@ -71,7 +71,7 @@ pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
     });
     let poles: Vec<Line> = poles.collect();
     let worst = poles.iter().map(|line| line.over.median).fold(0.0, f64::max);
-    let cpu = Cpu::new(&often);
+    let cpu = Cpu::new(&usual);
     let mut notes = vec![setting.drawn_with()];
     notes.push(
         "Everything is in memory, and the eye moves by a pixel a frame. Milliseconds are those of \
@@ -113,21 +113,19 @@ pub(super) fn measure(setting: &Setting) -> Result<Chapter, Failure> {
     })
 }
 
-/// Turns a stage to where it has a usual number of patches, or some more; the most there are, if none has.
-fn usual(stage: &mut Stage) -> Spot {
-    let mut best = (usize::MAX, OVER);
+/// Where a stage has [`PATCHES`], or as few more as can be; the most there are, if no place has so many.
+fn find_usual(stage: &mut Stage) -> Spot {
+    let mut best = ((true, usize::MAX), OVER);
     for altitude_m in [4e6, 3e6, 2e6, 1e6, 5e5, 2e5, 1e5] {
         for pitch in [-90.0, -60.0, -30.0, -15.0] {
             let spot = Spot { altitude_m, look: [0.0, pitch], ..OVER };
             let patches = stage.at(spot, 1).patches;
-            // Too few are worse than any that are enough.
-            let off = patches.checked_sub(PATCHES).unwrap_or(usize::MAX / 2 - patches);
+            let off = (patches < PATCHES, patches.abs_diff(PATCHES));
             if off < best.0 {
                 best = (off, spot);
             }
         }
     }
-    stage.turn(best.1);
     best.1
 }
 

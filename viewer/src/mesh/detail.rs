@@ -19,7 +19,7 @@ use glam::DVec3;
 use rustc_hash::FxHashMap;
 
 use super::frame::{Ground, reference_point};
-use super::sphere::distance_to_triangle;
+use super::sphere::{distance_to_triangle, nearer_cosine};
 use super::tree::{Asked, Note, Verdict};
 use crate::camera::pixel_angle;
 use crate::map::Cap;
@@ -65,7 +65,7 @@ struct PagePlace {
     radius_m: f64,
 }
 
-/// A corner of a view's tree.
+/// A corner of a tree.
 #[derive(Clone, Copy, Debug)]
 struct Corner {
     /// On the reference surface, in body-fixed meters.
@@ -82,7 +82,7 @@ pub(crate) struct Detail {
     /// Exaggerated.
     range_m: (f64, f64),
     grounds: FxHashMap<[u64; 3], Ground>,
-    /// By number, of one view's tree.
+    /// By number, of one tree: the next begins with none.
     corners: Vec<Option<Corner>>,
     /// Numbers of places, those about one triangle after those about another: of one view.
     about: Vec<u32>,
@@ -335,7 +335,7 @@ impl Criterion {
         let outer = self.ellipsoid.a().0 + self.range_m.1;
         // A point's direction differs from its normal's by less than the first term.
         let reach = reach + 2.0 * self.ellipsoid.eccentricity_squared();
-        let along = cosine_nearer(self.toward_eye.dot(center), reach);
+        let along = nearer_cosine(self.toward_eye.dot(center), reach);
         along * if along > 0.0 { outer } else { self.ellipsoid.b().0 + self.range_m.0 } < limit
     }
 
@@ -349,34 +349,5 @@ impl Criterion {
         });
         let points = volume.as_flattened();
         self.planes.iter().any(|plane| points.iter().all(|point| plane.dot(*point) < 0.0))
-    }
-}
-
-/// The cosine of an angle less that of the arc over a chord, from 0 on: of two directions, one of which may
-/// be so much nearer.
-fn cosine_nearer(cosine: f64, chord: f64) -> f64 {
-    let cosine = cosine.clamp(-1.0, 1.0);
-    let half = (0.5 * chord).min(1.0);
-    let cosine_of_arc = 1.0 - 2.0 * half * half;
-    if cosine >= cosine_of_arc {
-        return 1.0;
-    }
-    let sine_of_arc = 2.0 * half * (1.0 - half * half).sqrt();
-    cosine * cosine_of_arc + (1.0 - cosine * cosine).sqrt() * sine_of_arc
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn a_direction_is_nearer_by_an_arc(angle in 0.0..std::f64::consts::PI, chord in 0.0..2.5_f64) {
-            let arc = 2.0 * (chord / 2.0).min(1.0).asin();
-            let expected = (angle - arc).max(0.0).cos();
-            let found = cosine_nearer(angle.cos(), chord);
-            prop_assert!((found - expected).abs() < 1e-12, "{} {}", found, expected);
-        }
     }
 }

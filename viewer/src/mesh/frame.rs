@@ -15,7 +15,7 @@ use crate::mirror;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Ground {
     pub(crate) position: Geographic,
-    /// An `f32`, so that the shaders subtract the same number.
+    /// Not exaggerated. An `f32`, so that the shaders subtract the same number.
     pub(crate) height_m: f32,
 }
 
@@ -26,7 +26,7 @@ pub(crate) struct Frame {
     pub(crate) origin: DVec3,
     /// Columns east, north and up. On the axis those of the meridian of longitude 0.
     pub(crate) axes: DMat3,
-    /// Roughly the terrain.
+    /// What heights are told from.
     pub(crate) ground: Ground,
     /// How far from it places are told by it, as a chord.
     pub(crate) reach: f64,

@@ -110,7 +110,7 @@ impl Mesh {
                     self.anchors.extend(map.anchor(
                         dataset,
                         frame.ground.position,
-                        &frame.axes,
+                        frame.axes.z_axis,
                         reach,
                     ));
                 }

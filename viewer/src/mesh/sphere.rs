@@ -93,6 +93,23 @@ pub(crate) fn distance_to_triangle(point: DVec3, [a, b, c]: [DVec3; 3]) -> f64 {
     point.distance(closest)
 }
 
+/// cos(θ - α) of an angle θ with this cosine and the arc α over a chord, sin(α / 2) = chord / 2; 1 where
+/// the arc is the longer.
+///
+/// # Precision
+///
+/// Rounding of `cosine`, which tells angles near 0 and π to 1e-8.
+pub(crate) fn nearer_cosine(cosine: f64, chord: f64) -> f64 {
+    let cosine = cosine.clamp(-1.0, 1.0);
+    let half = (0.5 * chord).min(1.0);
+    let cosine_of_arc = 1.0 - 2.0 * half * half;
+    if cosine >= cosine_of_arc {
+        return 1.0;
+    }
+    let sine_of_arc = 2.0 * half * ((1.0 - half) * (1.0 + half)).sqrt();
+    cosine * cosine_of_arc + ((1.0 - cosine) * (1.0 + cosine)).sqrt() * sine_of_arc
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -119,7 +136,31 @@ mod tests {
         })
     }
 
+    #[test]
+    fn an_arc_takes_from_an_angle() {
+        let third = std::f64::consts::FRAC_PI_3;
+        let cases = [(0.0, 0.0, 0.0), (third, 0.0, third), (2.0 * third, 1.0, third)];
+        let ends = [(3.0 * third, 2.0, 0.0), (3.0 * third, 1.0, 2.0 * third), (third, 1.1, 0.0)];
+        for (angle, chord, left) in cases.into_iter().chain(ends) {
+            let found = nearer_cosine(f64::cos(angle), chord);
+            assert!((found - f64::cos(left)).abs() < 1e-7, "{angle} {chord}: {found}");
+        }
+        // What is no number hides nothing.
+        assert!(nearer_cosine(f64::NAN, 1.0).is_nan());
+        assert!(nearer_cosine(0.5, f64::NAN) == 1.0);
+    }
+
     proptest! {
+        #[test]
+        fn an_arc_takes_from_any_angle(
+            angle in 0.0..std::f64::consts::PI, chord in 0.0..2.5_f64,
+        ) {
+            let arc = 2.0 * (chord / 2.0).min(1.0).asin();
+            let expected = (angle - arc).max(0.0).cos();
+            let found = nearer_cosine(angle.cos(), chord);
+            prop_assert!((found - expected).abs() < 1e-7, "{} {}", found, expected);
+        }
+
         #[test]
         fn midpoints_are_halfway_at_every_scale(
             a in direction(), other in direction(), scale in -8.0..0.0_f64,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use areoid_cache::{Selection, View};
+use areoid_cache::{DatasetInfo, Selection, View};
 use areoid_formats::address::Level;
 use areoid_formats::page::Kind;
 use areoid_formats::units::{Degrees, Meters, Radians};
@@ -11,6 +11,7 @@ use glam::DVec3;
 use super::gpu;
 use super::worlds::{World, at, split_mars};
 use crate::camera::Pose;
+use crate::map::Maps;
 use crate::mesh::detail::Detail;
 use crate::mesh::patches::Mesh;
 use crate::style::Style;
@@ -153,6 +154,38 @@ fn atlases_are_as_large_as_a_cache_asks() {
     assert!(little.left_out_pages > 0 && little.uploaded_bytes < bytes as u64 / 2, "{little:?}");
 }
 
+/// The maps of the heights of a selection.
+fn maps_of(selection: &Selection) -> Maps {
+    let part = |info: &DatasetInfo| Style::default().part("", info.kind, info.priority);
+    let heights = selection.datasets.iter().filter(|(_, info)| info.kind == Kind::Height);
+    Maps::new(heights.map(|(_, info)| (info, part(info))))
+}
+
+/// A mesh is made of the view and the pages alone, whatever was made before it in the same room.
+#[test]
+fn a_mesh_remembers_no_other() {
+    let world = split_mars();
+    let selection = selected(world, 0.4, 1);
+    let (surface, maps) = (Surface::new(&selection), maps_of(&selection));
+    let elsewhere = |eye: DVec3| View { eye, ..view(0.5) };
+    let build = |mesh: &mut Mesh, detail: &mut Detail, view: &View, most_bytes| {
+        mesh.build(view, world.body, &surface, detail, &maps, most_bytes);
+    };
+    let (mut fresh, mut detail) = (Mesh::default(), Detail::default());
+    detail.renew(&surface, 1.0);
+    build(&mut fresh, &mut detail, &view(0.5), u64::MAX);
+
+    let (mut used, mut detail) = (Mesh::default(), Detail::default());
+    detail.renew(&surface, 7.0);
+    build(&mut used, &mut detail, &view(0.5), u64::MAX);
+    detail.renew(&surface, 1.0);
+    build(&mut used, &mut detail, &elsewhere(1.01 * view(0.5).eye), 150_000);
+    build(&mut used, &mut detail, &elsewhere(1.3 * view(0.5).eye), u64::MAX);
+    build(&mut used, &mut detail, &view(0.5), u64::MAX);
+    assert!(used.patches == fresh.patches && used.edges == fresh.edges);
+    assert!(used.frames == fresh.frames && used.anchors == fresh.anchors);
+}
+
 /// Where lists would be too long for a device the mesh is coarser; whatever the limit, there are no more
 /// anchors than it allows.
 #[test]
@@ -162,10 +195,7 @@ fn a_mesh_keeps_within_what_a_device_binds() {
     let surface = Surface::new(&selection);
     let mut detail = Detail::default();
     detail.renew(&surface, 1.0);
-    let part =
-        |info: &areoid_cache::DatasetInfo| Style::default().part("", info.kind, info.priority);
-    let heights = selection.datasets.iter().filter(|(_, info)| info.kind == Kind::Height);
-    let maps = crate::map::Maps::new(heights.map(|(_, info)| (info, part(info))));
+    let maps = maps_of(&selection);
     let mut mesh = Mesh::default();
     let counts = [u64::MAX, 150_000, 1_000].map(|most_bytes| {
         let view = View { viewport: [1600; 2], ..view(0.5) };

@@ -134,7 +134,7 @@ fn places_are_found_to_a_sixteenth_of_a_texel() {
             let there = (normal + axes * d.as_dvec3()).normalize();
             let place = geographic_from_normal(there);
             let Some(found) = grid.locate(finest, place) else { continue };
-            let Some(anchor) = map.anchor(0, geographic_from_normal(axes.z_axis), &axes, 0.5)
+            let Some(anchor) = map.anchor(0, geographic_from_normal(axes.z_axis), axes.z_axis, 0.5)
             else {
                 continue;
             };
@@ -218,7 +218,7 @@ fn a_band_ends_at_its_edges() {
         };
         let axes = axes_at(normal_at(side * 59.98));
         let there = normal_at(side * (60.0 + 0.01 * texels));
-        anchors.extend(map.anchor(0, geographic_from_normal(axes.z_axis), &axes, 0.5));
+        anchors.extend(map.anchor(0, geographic_from_normal(axes.z_axis), axes.z_axis, 0.5));
         asked.push(Probe {
             d: (axes.transpose() * (there - axes.z_axis)).as_vec3().to_array(),
             r0: axes.y_axis.z as f32,
