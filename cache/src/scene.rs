@@ -175,7 +175,7 @@ impl Scene {
         u32::try_from(self.slots.len() - 1).expect("fewer than 2^32 datasets")
     }
 
-    /// The number of the dataset at a place. Numbers lie side by side; to a dataset there is a way.
+    /// The number of the dataset at a place. Numbers lie side by side; a dataset is a pointer away.
     pub(crate) fn number(&self, place: usize) -> usize {
         self.numbers[place]
     }

@@ -342,9 +342,9 @@ impl Search<'_> {
             let Seen { dataset, node, .. } = seen[place];
             let dataset = &self.scene.datasets[dataset];
             let page = node.entry.page;
-            let is_shown =
-                |lens: &Lens| lens.shows(node.volume.bounds().center) || lens.holds(&node.volume);
-            if page.level == dataset.finest || self.lenses.iter().any(is_shown) {
+            if page.level == dataset.finest
+                || self.lenses.iter().any(|lens| lens.holds(&node.volume))
+            {
                 return true;
             }
             let unseen =
