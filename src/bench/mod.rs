@@ -18,6 +18,7 @@ mod geotiff;
 mod ingest;
 mod pairs;
 mod peers;
+mod processors;
 mod rasters;
 mod report;
 mod resample;

@@ -18,6 +18,7 @@ use super::pages::{self, SIZES};
 use super::servers::Areoid;
 use super::wrk::{Load, Wrk};
 use crate::bench::ingest::said;
+use crate::bench::processors::{Half, can_be_parted, on};
 use crate::bench::rasters::{Look, Recipe};
 use crate::bench::report::{Chapter, Relation, Spread, Table, Target, cores};
 use crate::failure::Failure;
@@ -38,10 +39,49 @@ const CONNECTIONS: usize = 8;
 /// Clients that listen to events.
 const LISTENERS: usize = 8;
 
-/// Runs without an insertion, and with one.
-const ROUNDS: usize = 4;
+/// Runs without an insertion before each, and up to twice as many during it.
+///
+/// The 99th percentile of one run is a matter of where the system puts threads: a third of a millisecond or
+/// three, whether something is inserted or not. Many short runs tell their median.
+const RUNS_AT_ONCE: usize = 4;
+
+/// However short insertions are, there are no more.
+const MOST_INSERTIONS: usize = 8;
 
 const TOKEN: &str = "a token of the benchmark";
+
+/// Where those who ask run.
+#[derive(Clone, Copy, Debug)]
+struct Setup {
+    name: &'static str,
+    /// Processors of the server and its insertions, and of those who ask.
+    halves: [Option<Half>; 2],
+}
+
+const SETUPS: [Setup; 2] = [
+    Setup { name: "asked from other cores", halves: [Some(Half::First), Some(Half::Second)] },
+    Setup { name: "asked from its own cores", halves: [None; 2] },
+];
+
+/// What was found in one of them.
+#[derive(Debug)]
+struct Case {
+    setup: Setup,
+    alone: Vec<Load>,
+    during: Vec<Load>,
+    /// From the commit of an insertion until the last listener heard of it.
+    slowest_s: f64,
+}
+
+/// Files that all need.
+struct Files {
+    catalog: PathBuf,
+    rasters: PathBuf,
+    /// What is inserted.
+    raster: PathBuf,
+    token: PathBuf,
+    wrk: Option<Wrk>,
+}
 
 /// Measures.
 pub(in super::super) fn measure(outside: &Outside<'_>) -> Result<Chapter, Failure> {
@@ -54,84 +94,51 @@ pub(in super::super) fn measure(outside: &Outside<'_>) -> Result<Chapter, Failur
     let pages = pages::export(&catalog, SIZES[0], &folder.join("files"))?;
     let token = folder.join("token");
     fs::write(&token, TOKEN)?;
-    let areoid = Areoid::start(&catalog, cores(), Some((&token, &rasters)))?;
     let wrk = outside.peers.program("wrk");
     let wrk = wrk.map(|wrk| Wrk::new(wrk, &pages.paths, &folder.join("pages.lua"))).transpose()?;
-    let run = || -> Result<Option<Load>, Failure> {
-        let load =
-            wrk.as_ref().map(|wrk| wrk.run(areoid.public, CONNECTIONS, outside.run_seconds()));
-        Ok(load.transpose()?)
-    };
+    let files = Files { catalog, rasters, raster, token, wrk };
+    let runs = 4 * usize::try_from(outside.run_seconds()).unwrap_or(usize::MAX);
+    let setups = SETUPS.iter().filter(|setup| setup.halves == [None; 2] || can_be_parted());
+    let cases = setups
+        .map(|&setup| Case::measure(setup, &files, runs))
+        .collect::<Result<Vec<Case>, Failure>>()?;
+    let slowest_s = cases.iter().map(|case| case.slowest_s).fold(0.0, f64::max);
+    let delays = [
+        ("inserted over HTTP", slowest_s),
+        ("by another process", by_another_process(outside, &files)?),
+    ];
 
-    output::say("serving alone");
-    let (mut alone, mut during) = (Vec::new(), Vec::new());
-    for round in 0..=ROUNDS {
-        // The first warms what is to be warm.
-        alone.extend(run()?.filter(|_| round > 0));
-    }
-    output::say("serving during an insertion");
-    let listeners = listen(areoid.public)?;
-    let admin = areoid.admin.ok_or_else(|| io::Error::other("there is no admin listener"))?;
-    let inserting = insert(admin, &raster);
-    while during.len() < ROUNDS && !inserting.is_finished() {
-        match run()? {
-            // A run that the insertion did not last for is none.
-            Some(load) if !inserting.is_finished() => during.push(load),
-            _ => break,
-        }
-    }
-    output::say("waiting for the insertion");
-    inserting.join().map_err(|_| io::Error::other("the insertion panicked"))??;
-    let mut delays = vec![("inserted over HTTP", delay(&catalog, listeners)?)];
-    let listeners = listen(areoid.public)?;
-    let mut ingest = Command::new(std::env::current_exe()?);
-    ingest.arg("ingest").arg(outside.work(SIZES[0].name).with_extension("tif"));
-    ingest.arg("--catalog").arg(&catalog).args(["--name", "other", "--json"]);
-    said(&mut ingest)?;
-    delays.push(("by another process", delay(&catalog, listeners)?));
-    drop(areoid);
-
-    let p99 = |loads: &[Load]| Spread::of(loads.iter().map(|load| load.p99_ms));
-    let rate = |loads: &[Load]| Spread::of(loads.iter().map(|load| load.requests_per_s));
-    let ratio = p99(&during).zip(p99(&alone)).map(|(during, alone)| during.median / alone.median);
-    let mut targets = vec![Target::new(
-        "p99 of pages during an insertion over that without one",
-        Relation::AtMost,
-        MOST_P99,
-        ratio,
-    )];
+    let mut targets: Vec<Target> = cases.iter().map(Case::target).collect();
     targets.extend(delays.iter().map(|(what, seconds)| {
         let what = format!("{what}: seconds from the commit to the last of {LISTENERS} sessions");
         Target::new(what, Relation::AtMost, MOST_SECONDS, Some(*seconds))
     }));
-    let text = |spread: Option<Spread>, digits| {
-        spread.map_or_else(|| "–".to_owned(), |spread| spread.text(digits))
-    };
-    let row = |what: &str, loads: &[Load]| {
-        vec![what.to_owned(), text(rate(loads), 0), text(p99(loads), 2)]
-    };
     let megapixels = f64::from(width) * f64::from(width / 2) / 1e6;
     Ok(Chapter {
         name: "live",
         title: "Serving during an insertion",
         notes: vec![format!(
-            "wrk asks for pages of {:.0} KiB over {CONNECTIONS} connections as fast as they come, on the \
-             cores that serve them; then again while {megapixels:.1} megapixels are inserted through the \
-             admin listener. The load ends before the insertion does. The commit is when the manifest \
-             was written; {LISTENERS} clients listen to events, and the last one counts.",
-            pages.mean_bytes / 1024.0
+            "wrk asks for pages of {:.0} KiB over {CONNECTIONS} connections as fast as they come; then \
+             again while {megapixels:.1} megapixels are inserted through the admin listener; and so on, \
+             in turn. Runs take a second; those that an insertion did not last for do not \
+             count. On other cores, wrk has one half of them and the server, with its insertions, the \
+             other; on its own, both share all of them, and how its threads are put beside the server's \
+             is a part of what is measured. The commit is when the manifest was written; {LISTENERS} \
+             clients listen to events, and the last one counts.",
+            pages.mean_bytes / 1024.0,
         )],
         tables: vec![Table {
             title: "Pages in memory, over the loopback".to_owned(),
-            head: vec!["", "requests/s", "99 % ms"],
-            rows: vec![row("alone", &alone), row("during an insertion", &during)],
+            head: vec!["", "", "runs", "requests/s", "99 % ms"],
+            rows: cases.iter().flat_map(Case::rows).collect(),
         }],
         targets,
         data: json!({
             "page_bytes": pages.mean_bytes,
             "megapixels": megapixels,
-            "alone": alone,
-            "during": during,
+            "cases": cases.iter().map(|case| {
+                json!({ "setup": case.setup.name, "alone": case.alone, "during": case.during })
+            }).collect::<Vec<_>>(),
             "seconds_to_all": delays.iter().map(|(what, seconds)| {
                 json!({ "what": what, "seconds": seconds })
             }).collect::<Vec<_>>(),
@@ -139,12 +146,89 @@ pub(in super::super) fn measure(outside: &Outside<'_>) -> Result<Chapter, Failur
     })
 }
 
+impl Case {
+    /// Runs alone, and during an insertion, in turn.
+    fn measure(setup: Setup, files: &Files, runs: usize) -> Result<Self, Failure> {
+        let [server, client] = setup.halves;
+        let admin = Some((files.token.as_path(), files.rasters.as_path()));
+        let areoid = on(server, || Areoid::start(&files.catalog, cores(), admin))?;
+        let admin = areoid.admin.ok_or_else(|| io::Error::other("there is no admin listener"))?;
+        let run = || {
+            let run = |wrk: &Wrk| on(client, || wrk.run(areoid.public, CONNECTIONS, 1));
+            files.wrk.as_ref().map(run).transpose()
+        };
+        let mut case = Self { setup, alone: Vec::new(), during: Vec::new(), slowest_s: 0.0 };
+        // The first warms what is to be warm.
+        run()?;
+        let mut number = 0;
+        while number < MOST_INSERTIONS && (case.alone.len() < runs || case.during.len() < runs) {
+            output::say(format!("serving, {}", setup.name));
+            for _ in 0..RUNS_AT_ONCE {
+                case.alone.extend(run()?);
+            }
+            output::say("serving during an insertion");
+            let listeners = listen(areoid.public)?;
+            let name = format!("{}-{number}", setup.name.replace(' ', "-"));
+            let inserting = insert(admin, &files.raster, name);
+            for _ in 0..2 * RUNS_AT_ONCE {
+                match run()? {
+                    Some(load) if !inserting.is_finished() => case.during.push(load),
+                    _ => break,
+                }
+            }
+            output::say("waiting for the insertion");
+            inserting.join().map_err(|_| io::Error::other("the insertion panicked"))??;
+            case.slowest_s = case.slowest_s.max(delay(&files.catalog, listeners)?);
+            number += 1;
+        }
+        Ok(case)
+    }
+
+    fn target(&self) -> Target {
+        let p99 = |loads| Some(spread(loads, |load| load.p99_ms)?.median);
+        let ratio = p99(&self.during).zip(p99(&self.alone)).map(|(during, alone)| during / alone);
+        let what =
+            format!("{}: p99 of pages during an insertion over that without one", self.setup.name);
+        Target::new(what, Relation::AtMost, MOST_P99, ratio)
+    }
+
+    fn rows(&self) -> [Vec<String>; 2] {
+        [("alone", &self.alone), ("during an insertion", &self.during)].map(|(when, loads)| {
+            let text = |of, digits| {
+                spread(loads, of).map_or_else(|| "–".to_owned(), |spread| spread.text(digits))
+            };
+            vec![
+                self.setup.name.to_owned(),
+                when.to_owned(),
+                loads.len().to_string(),
+                text(|load| load.requests_per_s, 0),
+                text(|load| load.p99_ms, 2),
+            ]
+        })
+    }
+}
+
+fn spread(loads: &[Load], of: fn(&Load) -> f64) -> Option<Spread> {
+    Spread::of(loads.iter().map(of))
+}
+
+/// How long it takes until those who listen to a server hear of a dataset that another process ingests.
+fn by_another_process(outside: &Outside<'_>, files: &Files) -> Result<f64, Failure> {
+    let areoid = Areoid::start(&files.catalog, cores(), None)?;
+    let listeners = listen(areoid.public)?;
+    let mut ingest = Command::new(std::env::current_exe()?);
+    ingest.arg("ingest").arg(outside.work(SIZES[0].name).with_extension("tif"));
+    ingest.arg("--catalog").arg(&files.catalog).args(["--name", "other", "--json"]);
+    said(&mut ingest)?;
+    Ok(delay(&files.catalog, listeners)?)
+}
+
 /// Inserts on a thread of its own.
-fn insert(admin: SocketAddr, raster: &Path) -> thread::JoinHandle<io::Result<()>> {
+fn insert(admin: SocketAddr, raster: &Path, name: String) -> thread::JoinHandle<io::Result<()>> {
     let raster: PathBuf = raster.to_owned();
     thread::spawn(move || {
         let client = Client::new(&format!("http://{admin}")).map_err(io::Error::other)?;
-        let request = json!({ "rasters": [raster.canonicalize()?], "name": "inserted" });
+        let request = json!({ "rasters": [raster.canonicalize()?], "name": name });
         let request: InsertRequest = serde_json::from_value(request)?;
         remote::insert(&client, TOKEN, &request, |_| {}).map_err(io::Error::other)?;
         Ok(())
