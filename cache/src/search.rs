@@ -24,6 +24,7 @@
 use std::fmt;
 use std::sync::Arc;
 
+use areoid_formats::bounds::Place;
 use areoid_formats::bvh::{Branch, Parts};
 use areoid_formats::page::Kind;
 use areoid_formats::volume::Volume;
@@ -337,14 +338,13 @@ impl Search<'_> {
     /// corners that its parts do not. Children without data say nothing about what the
     /// page shows there. A part whose middle is in sight ends it: boxes of parts are flat.
     fn drop_unseen(&self, memo: &mut Memo, found: &mut Found) {
-        let Found { wanted, seen, visited, culled, .. } = found;
+        let Found { wanted, seen, sights, visited, culled, .. } = found;
         wanted.retain(|&place| {
             let Seen { dataset, node, .. } = seen[place];
             let dataset = &self.scene.datasets[dataset];
             let page = node.entry.page;
-            if page.level == dataset.finest
-                || self.lenses.iter().any(|lens| lens.holds(&node.volume))
-            {
+            let views = place * self.lenses.len()..(place + 1) * self.lenses.len();
+            if page.level == dataset.finest || sights[views].iter().any(|sight| sight.is_whole) {
                 return true;
             }
             let unseen =
@@ -365,10 +365,16 @@ impl Search<'_> {
 
     /// Whether a part is out of sight, by itself or quarter by quarter.
     fn is_unseen(&self, part: &Volume, halvings: u32) -> bool {
-        self.lenses.iter().all(|lens| lens.misses(part))
-            || halvings > 0
-                && !self.lenses.iter().any(|lens| lens.holds(part))
-                && part.quarters().iter().all(|quarter| self.is_unseen(quarter, halvings - 1))
+        let mut is_across = false;
+        for lens in self.lenses {
+            match lens.place(part) {
+                Place::Within => return false,
+                Place::Across => is_across = true,
+                Place::Outside => {}
+            }
+        }
+        let is_unseen = |quarter: &Volume| self.is_unseen(quarter, halvings - 1);
+        !is_across || halvings > 0 && part.quarters().iter().all(is_unseen)
     }
 
     /// Whether an error is within the tolerance wherever a part is seen.
@@ -386,7 +392,7 @@ impl Search<'_> {
         let bounds = part.bounds();
         let farthest = self.lenses.iter().map(|lens| {
             let distance = lens.eye.distance(bounds.center) + bounds.radius();
-            Sight { distance, reach: distance }
+            Sight { distance, reach: distance, is_whole: false }
         });
         if self.worst(error_m, farthest) > tolerance_px {
             return Verdict::No;

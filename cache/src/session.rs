@@ -5,6 +5,7 @@ use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
 
 use areoid_formats::bounds::Aabb;
+use rustc_hash::FxHashSet;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
@@ -55,8 +56,8 @@ pub struct Session {
     /// Whether [`Selection::beneath`] is asked for: mostly a third more pages. Not so at first.
     pub blends: bool,
     last: Arc<Selection>,
-    /// What the last views wanted, sorted; and room for the next.
-    wanted: [Vec<PageName>; 2],
+    /// What the last views wanted, and room for the next.
+    wanted: [FxHashSet<PageName>; 2],
     /// Room for the numbers of datasets.
     numbers: Vec<usize>,
     news: watch::Receiver<u64>,
@@ -118,7 +119,7 @@ impl Session {
             look_ahead: true,
             blends: false,
             last,
-            wanted: [Vec::new(), Vec::new()],
+            wanted: [FxHashSet::default(), FxHashSet::default()],
             numbers: Vec::new(),
             news,
             budget_bytes,
@@ -414,12 +415,12 @@ impl Session {
         let Showing { scene, found } = &self.shown;
         let [before, now] = &mut self.wanted;
         now.clear();
-        let places = found.wanted.iter().chain(&found.beneath);
-        now.extend(places.map(|&place| found.seen[place].name(scene)));
-        now.sort_unstable();
-        for name in now.iter().filter(|name| before.binary_search(name).is_err()) {
-            store.stats.first_wanted += 1;
-            store.stats.first_resident += u64::from(store.holds(*name));
+        for &place in found.wanted.iter().chain(&found.beneath) {
+            let name = found.seen[place].name(scene);
+            if now.insert(name) && !before.contains(&name) {
+                store.stats.first_wanted += 1;
+                store.stats.first_resident += u64::from(store.holds(name));
+            }
         }
         self.wanted.swap(0, 1);
     }

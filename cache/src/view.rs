@@ -1,6 +1,6 @@
 //! Where a picture is taken from, and how sharp it has to be.
 
-use areoid_formats::bounds::{Aabb, HalfSpace};
+use areoid_formats::bounds::{Aabb, HalfSpace, OrientedBox, Place};
 use areoid_formats::units::{Meters, Radians};
 use areoid_formats::volume::{Horizon, Volume};
 use glam::{DMat3, DVec3};
@@ -64,10 +64,13 @@ pub(crate) struct Sight {
     /// At most d cos² α of any of its visible points, at the distance d and the angle α from the
     /// axis: what lengths are divided by on their way to the screen.
     pub(crate) reach: f64,
+    /// Whether all of it is in the picture, or behind the body.
+    pub(crate) is_whole: bool,
 }
 
 impl Sight {
-    pub(crate) const NONE: Self = Self { distance: f64::INFINITY, reach: f64::INFINITY };
+    pub(crate) const NONE: Self =
+        Self { distance: f64::INFINITY, reach: f64::INFINITY, is_whole: false };
 
     pub(crate) fn is_seen(&self) -> bool {
         self.distance.is_finite()
@@ -75,8 +78,8 @@ impl Sight {
 
     /// The stricter of both answers.
     pub(crate) fn within(&self, above: &Self) -> Self {
-        let Self { distance, reach } = *self;
-        Self { distance: distance.max(above.distance), reach: reach.max(above.reach) }
+        let Self { distance, reach, is_whole } = *self;
+        Self { distance: distance.max(above.distance), reach: reach.max(above.reach), is_whole }
     }
 }
 
@@ -120,7 +123,8 @@ impl Lens {
     ///
     /// d cos² α is a cos α, with a the length along the axis: of both, the larger lower bound counts.
     pub(crate) fn sight(&self, volume: &Volume) -> Sight {
-        if self.misses(volume) {
+        let place = self.place(volume);
+        if place == Place::Outside {
             return Sight::NONE;
         }
         let bounds = volume.bounds();
@@ -129,7 +133,7 @@ impl Lens {
         let cosine = volume.least_cosine(self.eye, self.axis).max(self.corner_cosine);
         let along = bounds.nearest_along(self.axis) - self.axis.dot(self.eye);
         let reach = (distance * cosine * cosine).max(along * cosine);
-        Sight { distance, reach }
+        Sight { distance, reach, is_whole: place == Place::Within }
     }
 
     /// How near a box is to the view, and with it what lies in it.
@@ -149,7 +153,8 @@ impl Lens {
         };
         let cosine = cosine.max(self.corner_cosine);
         let along = -bounds.farthest_along(-self.axis) - self.axis.dot(self.eye);
-        Sight { distance, reach: (distance * cosine * cosine).max(along * cosine) }
+        let reach = (distance * cosine * cosine).max(along * cosine);
+        Sight { distance, reach, is_whole: false }
     }
 
     /// At most the distance of a visible point that is no farther than `radius` from the body's
@@ -193,30 +198,27 @@ impl Lens {
             && !self.horizon.is_some_and(|horizon| horizon.hides_point(point))
     }
 
-    /// Whether all of a page is in the picture, or behind the body.
-    pub(crate) fn holds(&self, volume: &Volume) -> bool {
-        let bounds = volume.bounds();
-        self.frustum.iter().all(|side| bounds.nearest_along(side.normal) >= side.offset)
-    }
-
-    /// Whether all of a page is out of sight.
-    pub(crate) fn misses(&self, volume: &Volume) -> bool {
-        self.horizon.is_some_and(|horizon| volume.hidden_by(&horizon))
-            || volume.outside(&self.frustum)
-            || self.is_beyond_a_face(volume)
+    /// Whether a page is out of sight, or wholly in the picture, or behind the body.
+    pub(crate) fn place(&self, volume: &Volume) -> Place {
+        if self.horizon.is_some_and(|horizon| volume.hidden_by(&horizon)) {
+            return Place::Outside;
+        }
+        match volume.place_in(&self.frustum) {
+            Place::Across if self.is_beyond_a_face(volume) => Place::Outside,
+            place => place,
+        }
     }
 
     /// Whether the whole picture lies beyond one of the faces of a page's box: where a box is larger
     /// than the picture, it can miss it without lying outside any of the picture's sides.
     fn is_beyond_a_face(&self, volume: &Volume) -> bool {
-        let bounds = volume.bounds();
-        let eye = bounds.axes.transpose() * (self.eye - bounds.center);
-        let corners = self.corners.map(|corner| bounds.axes.transpose() * corner);
-        (0..3).any(|axis| {
-            let above = eye[axis] > bounds.half[axis];
-            let below = eye[axis] < -bounds.half[axis];
-            above && corners.iter().all(|corner| corner[axis] >= 0.0)
-                || below && corners.iter().all(|corner| corner[axis] <= 0.0)
+        let OrientedBox { center, axes, half } = volume.bounds();
+        let eye = self.eye - *center;
+        let faces = [(axes.x_axis, half.x), (axes.y_axis, half.y), (axes.z_axis, half.z)];
+        faces.into_iter().any(|(axis, half)| {
+            let eye = axis.dot(eye);
+            eye > half && self.corners.iter().all(|corner| axis.dot(*corner) >= 0.0)
+                || eye < -half && self.corners.iter().all(|corner| axis.dot(*corner) <= 0.0)
         })
     }
 

@@ -122,6 +122,17 @@ impl Aabb {
     }
 }
 
+/// Where something lies to half spaces.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// Wholly outside one of them.
+    Outside,
+    /// Neither, as far as is known.
+    Across,
+    /// Wholly in all of them.
+    Within,
+}
+
 /// A box along axes of its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OrientedBox {
@@ -152,6 +163,24 @@ impl OrientedBox {
         -self.farthest_along(-direction)
     }
 
+    /// Where the box lies to all of the half spaces.
+    #[must_use]
+    pub fn place_in(&self, frustum: &[HalfSpace]) -> Place {
+        let mut place = Place::Within;
+        for side in frustum {
+            let half = self.half_along(side.normal);
+            let middle = side.normal.dot(self.center) - side.offset;
+            if middle < -half {
+                return Place::Outside;
+            }
+            let is_within = middle >= half;
+            if !is_within {
+                place = Place::Across;
+            }
+        }
+        place
+    }
+
     /// How far away the nearest point of the box is.
     #[must_use]
     pub fn distance_from(&self, eye: DVec3) -> f64 {
@@ -169,8 +198,12 @@ impl OrientedBox {
     /// The greatest `direction · p` over the points of the box.
     #[must_use]
     pub fn farthest_along(&self, direction: DVec3) -> f64 {
-        let along = self.axes.transpose_mul_vec3(direction);
-        direction.dot(self.center) + along.abs().dot(self.half)
+        direction.dot(self.center) + self.half_along(direction)
+    }
+
+    /// How far `direction · p` reaches to either side of the center's.
+    fn half_along(&self, direction: DVec3) -> f64 {
+        self.axes.transpose_mul_vec3(direction).abs().dot(self.half)
     }
 
     /// The corners.
@@ -237,6 +270,13 @@ mod tests {
             prop_assert!((volume.farthest_along(direction) - farthest).abs() < 1e-9);
             let side = HalfSpace::through(eye, direction);
             prop_assert_eq!(aabb.outside(&[side]), aabb.farthest_along(direction) < side.offset);
+            let inside = volume.corners().map(|corner| direction.dot(corner) - side.offset);
+            let sure = |sign: f64| inside.iter().all(|along| sign * along > 1e-9);
+            match volume.place_in(&[side]) {
+                Place::Outside => prop_assert!(!inside.iter().any(|along| *along > 1e-9)),
+                Place::Within => prop_assert!(!inside.iter().any(|along| *along < -1e-9)),
+                Place::Across => prop_assert!(!sure(1.0) && !sure(-1.0)),
+            }
         }
     }
 }

@@ -21,8 +21,12 @@ const MOST_ENTRIES: u64 = 1 << 20;
 
 const HOLDS: u32 = 1 << 31;
 const WHOLE: u32 = 1 << 30;
+const GRAY: u32 = 1 << 15;
 const LEVEL_SHIFT: u32 = 16;
 const PRESENCE_SHIFT: u32 = 24;
+
+/// More slots an entry cannot name.
+pub(crate) const MOST_SLOTS: u32 = GRAY;
 
 /// The presence of a page that shows wholly.
 pub(crate) const PRESENT: u8 = 63;
@@ -32,6 +36,8 @@ pub(crate) const PRESENT: u8 = 63;
 pub(crate) struct Shown {
     pub(crate) page: PageAddress,
     pub(crate) slot: u32,
+    /// Whether that is one of the atlas of grays.
+    pub(crate) gray: bool,
     /// Whether every texel is fully covered.
     pub(crate) whole: bool,
     /// Up to [`PRESENT`]: how far it shows, and not what was there before it.
@@ -94,8 +100,9 @@ pub(crate) fn append(
 
 fn entry(shown: &Shown) -> u32 {
     let whole = if shown.whole { WHOLE } else { 0 };
+    let gray = if shown.gray { GRAY } else { 0 };
     let presence = u32::from(shown.presence.min(PRESENT)) << PRESENCE_SHIFT;
-    HOLDS | whole | presence | u32::from(shown.page.level.0) << LEVEL_SHIFT | shown.slot
+    HOLDS | whole | presence | u32::from(shown.page.level.0) << LEVEL_SHIFT | gray | shown.slot
 }
 
 fn narrow(count: u32) -> i32 {
@@ -186,6 +193,7 @@ mod tests {
         let at = |row, col| Shown {
             page: PageAddress::new(level, row, col),
             slot: 0,
+            gray: false,
             whole: true,
             presence: PRESENT,
         };
@@ -209,7 +217,9 @@ mod tests {
             pages.sort();
             pages.dedup();
             let shown: Vec<Shown> = (0..).zip(&pages)
-                .map(|(slot, &page)| Shown { page, slot, whole: slot % 2 == 0, presence: 7 })
+                .map(|(slot, &page)| {
+                    Shown { page, slot, gray: slot % 3 == 0, whole: slot % 2 == 0, presence: 7 }
+                })
                 .collect();
             let mut table = vec![7; 3];
             let first = append(&mut table, &pyramid, &shown, &[]).first.unsigned_abs() as usize;

@@ -49,6 +49,7 @@ impl Pipelines {
                 texture(wgpu::TextureSampleType::Uint, true),
                 texture(wgpu::TextureSampleType::Float { filterable: false }, true),
                 texture(wgpu::TextureSampleType::Float { filterable: false }, true),
+                texture(wgpu::TextureSampleType::Float { filterable: false }, true),
             ],
         );
         let deferred = texture(wgpu::TextureSampleType::Uint, false);

@@ -95,8 +95,9 @@ impl Renderer {
     }
 
     /// A renderer for a body on a device, for views of a cache with so many bytes for pages: each of the
-    /// atlases, of heights, colors and normals, grows to three quarters of that if it has to. A view has
-    /// half of a cache at most, colors take a third more here, and what fades out is there, too.
+    /// atlases, of heights, colors, gray colors and normals, grows to three quarters of that if it has to. A
+    /// view has half of a cache at most, colors take a third more here, gray ones a third of it, and what
+    /// fades out is there, too.
     #[must_use]
     pub fn with_budget(gpu: &Gpu, ellipsoid: Ellipsoid, budget_bytes: u64) -> Self {
         Self {
@@ -309,8 +310,8 @@ impl Renderer {
             );
         }
         if self.atlas_group.is_none() {
-            let views: [_; 4] =
-                self.resident.views().try_into().expect("the atlases have four planes");
+            let views: [_; 5] =
+                self.resident.views().try_into().expect("the atlases have five planes");
             let bindings = views.each_ref().map(wgpu::BindingResource::TextureView);
             self.atlas_group = Some(bind(gpu, "atlases", &self.pipelines.atlas_layout, bindings));
         }

@@ -5,12 +5,12 @@ use std::collections::HashMap;
 use areoid_cache::{Datasets, ResidentPage, Selection};
 use areoid_formats::address::PageKey;
 use areoid_formats::archive::Payload;
-use areoid_formats::page::Kind;
+use areoid_formats::page::{Kind, Page};
 
 use super::linger::{self, Trace};
 use crate::atlas::slots::PageName;
 use crate::atlas::table::{self, PRESENT, Shown};
-use crate::atlas::texture::Atlas;
+use crate::atlas::texture::{Atlas, Content, is_gray};
 use crate::atlas::uploads::{Allowance, Uploads};
 use crate::gpu::Gpu;
 use crate::map::Maps;
@@ -38,11 +38,15 @@ impl Clock {
     }
 }
 
+/// What the atlases hold, in their order.
+const CONTENTS: [Content; 4] =
+    [Content::Heights, Content::Colors, Content::Normals, Content::Grays];
+
 /// What of a selection is on the GPU.
 #[derive(Debug)]
 pub(crate) struct Resident {
-    /// Of heights, colors and normals.
-    atlases: [Atlas; 3],
+    /// Of heights, colors, normals and grays.
+    atlases: [Atlas; 4],
     uploads: Uploads,
     budget_bytes: u64,
     datasets: Option<Datasets>,
@@ -62,6 +66,8 @@ pub(crate) struct Resident {
     roots: Vec<Vec<Shown>>,
     /// What the picture before showed.
     before: Vec<Trace>,
+    /// Whether pages of colors are gray: they are gone through once, and may wait for room for long.
+    grays: HashMap<PageName, bool>,
 }
 
 /// What [`Resident::bring`] did.
@@ -81,9 +87,8 @@ pub(crate) struct Brought {
 
 impl Resident {
     pub(crate) fn new(gpu: &Gpu, budget_bytes: u64) -> Self {
-        let kinds = [Kind::Height, Kind::Color, Kind::Normal];
         Self {
-            atlases: kinds.map(|kind| Atlas::new(gpu, kind, 8, budget_bytes)),
+            atlases: CONTENTS.map(|content| Atlas::new(gpu, content, 8, budget_bytes)),
             uploads: Uploads::new(gpu),
             budget_bytes,
             datasets: None,
@@ -97,6 +102,7 @@ impl Resident {
             shown: Vec::new(),
             roots: Vec::new(),
             before: Vec::new(),
+            grays: HashMap::new(),
         }
     }
 
@@ -106,8 +112,8 @@ impl Resident {
     }
 
     /// Sides and layers of the atlases.
-    pub(crate) fn sizes(&self) -> [(u32, u32); 3] {
-        [0, 1, 2].map(|i| (self.atlases[i].side(), self.atlases[i].layers()))
+    pub(crate) fn sizes(&self) -> [(u32, u32); 4] {
+        self.atlases.each_ref().map(|atlas| (atlas.side(), atlas.layers()))
     }
 
     /// Writes what is new of a selection, as far as a frame may, and the table anew.
@@ -131,7 +137,7 @@ impl Resident {
         // First what is there, so that no new page takes its place.
         let pages = || selection.beneath.iter().chain(&selection.pages);
         for page in selection.roots.iter().chain(pages()) {
-            self.atlases[atlas_of(selection, page)].keep(name_of(page));
+            self.keep(selection, page);
         }
         let before = std::mem::take(&mut self.before);
         let ages: HashMap<PageName, f64> =
@@ -171,6 +177,21 @@ impl Resident {
         brought
     }
 
+    fn is_gray(&mut self, name: PageName, page: &Page) -> bool {
+        const MOST: usize = 1 << 14;
+        if self.grays.len() == MOST {
+            self.grays.clear();
+        }
+        *self.grays.entry(name).or_insert_with(|| is_gray(page))
+    }
+
+    /// Marks a page as used and says in which atlas and slot it is, if it is.
+    fn keep(&mut self, selection: &Selection, page: &ResidentPage) -> Option<(usize, u32)> {
+        let name = name_of(page);
+        let mut atlases = atlases_of(selection, page).iter();
+        atlases.find_map(|&atlas| Some((atlas, self.atlases[atlas].keep(name)?)))
+    }
+
     /// A page's slot, written if it is new and there is room, and the place of its dataset; none if
     /// that takes no part.
     fn place(
@@ -184,31 +205,36 @@ impl Resident {
         let place = selection.datasets.place(page.dataset);
         let place = place.expect("a page's dataset stands beside it");
         self.shown[place].as_ref()?;
-        let (atlas, name) = (atlas_of(selection, page), name_of(page));
-        let slot = if let Some(slot) = self.atlases[atlas].keep(name) {
-            slot
+        let name = name_of(page);
+        let (atlas, slot) = if let Some(found) = self.keep(selection, page) {
+            found
         } else if !allowance.has_more() {
             brought.put_off += 1;
             return None;
-        } else if let Some(slot) =
-            self.atlases[atlas].place(gpu, &mut self.uploads, name, &page.page)
-        {
+        } else {
+            let atlas = match atlases_of(selection, page) {
+                &[_, grays] if self.is_gray(name, &page.page) => grays,
+                atlases => atlases[0],
+            };
+            let placed = self.atlases[atlas].place(gpu, &mut self.uploads, name, &page.page);
+            let Some(slot) = placed else {
+                brought.left_out += 1;
+                return None;
+            };
             let bytes = page.page.bytes() as u64;
             allowance.take(bytes);
             brought.uploaded += 1;
             brought.uploaded_bytes += bytes;
-            slot
-        } else {
-            brought.left_out += 1;
-            return None;
+            (atlas, slot)
         };
+        let gray = CONTENTS[atlas] == Content::Grays;
         if selection.datasets[page.dataset].kind == Kind::Height {
             let slot = slot as usize;
             self.bounds.resize(self.bounds.len().max(slot + 1), 0.0);
             self.bounds[slot] = page.entry.bound;
         }
         let whole = page.page.coverage().is_none();
-        let shown = Shown { page: page.entry.page, slot, whole, presence: PRESENT };
+        let shown = Shown { page: page.entry.page, slot, gray, whole, presence: PRESENT };
         Some((place, Trace { name, atlas, shown, since: 0.0 }))
     }
 
@@ -219,12 +245,16 @@ impl Resident {
             return;
         }
         let datasets: Vec<_> = selection.datasets.iter().map(|(_, info)| info).collect();
-        for (atlas, kind) in self.atlases.iter_mut().zip([Kind::Height, Kind::Color, Kind::Normal])
-        {
+        for (atlas, content) in self.atlases.iter_mut().zip(CONTENTS) {
+            let kind = match content {
+                Content::Heights => Kind::Height,
+                Content::Colors | Content::Grays => Kind::Color,
+                Content::Normals => Kind::Normal,
+            };
             let sides = datasets.iter().filter(|info| info.kind == kind);
             let side = sides.map(|info| info.grid.pyramid().page_side()).max().unwrap_or(8);
             if atlas.side() < side {
-                *atlas = Atlas::new(gpu, kind, side, self.budget_bytes);
+                *atlas = Atlas::new(gpu, content, side, self.budget_bytes);
             }
         }
         let part =
@@ -262,12 +292,12 @@ fn count(length: usize) -> i32 {
     i32::try_from(length).expect("a table is far smaller than 2^31")
 }
 
-/// Which atlas a page lies in.
-fn atlas_of(selection: &Selection, page: &ResidentPage) -> usize {
+/// Which of the atlases a page may lie in: the first, unless it is gray.
+fn atlases_of(selection: &Selection, page: &ResidentPage) -> &'static [usize] {
     match selection.datasets[page.dataset].kind {
-        Kind::Height => 0,
-        Kind::Color => 1,
-        Kind::Normal => 2,
+        Kind::Height => &[0],
+        Kind::Color => &[1, 3],
+        Kind::Normal => &[2],
     }
 }
 

@@ -33,5 +33,5 @@ fn share_of_finer(coarser: f32, finer: f32) -> f32 {
 
 // At most what a page of heights is off by, in meters.
 fn bound_of(entry: u32) -> f32 {
-    return bitcast<f32>(table[scene.slot_bounds + i32(entry & 0xffffu)]);
+    return bitcast<f32>(table[scene.slot_bounds + entry_slot(entry)]);
 }

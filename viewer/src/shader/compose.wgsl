@@ -37,7 +37,7 @@ fn read_found(found: Found, plane: u32) -> Texel {
     if plane == NORMALS {
         return read_codes(normal_atlas, found);
     }
-    return read_codes(color_atlas, found);
+    return read_color(found);
 }
 
 fn blend_texels(a: Texel, b: Texel, t: f32) -> Texel {

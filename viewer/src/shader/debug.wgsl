@@ -67,7 +67,7 @@ fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> v
                 return select(ground, vec3f(1.0, 0.9, 0.1), is_edge);
             }
             if scene.debug == SHOW_ERROR {
-                let slot = i32(found.entry & 0xffffu);
+                let slot = entry_slot(found.entry);
                 let bound_m = scene.exaggeration * bitcast<f32>(table[scene.slot_bounds + slot]);
                 let excess = bound_m / (footprint_m * scene.tolerance_px);
                 return mix(ground, color_of_excess(excess), 0.6);

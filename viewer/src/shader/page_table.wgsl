@@ -5,16 +5,18 @@
 // texel would have 5·10^10 entries.)
 //
 //   window   row, column, rows, columns, where its entries start
-//   entry    31      30      29    24 23   16 15      0
-//            +-------+-------+-------+-------+---------+
-//            | holds | whole | shown | level |  slot   |
-//            +-------+-------+-------+-------+---------+
+//   entry    31      30      29    24 23   16  15     14     0
+//            +-------+-------+-------+-------+------+---------+
+//            | holds | whole | shown | level | gray |  slot   |
+//            +-------+-------+-------+-------+------+---------+
 //
 // An entry names the finest page in memory that covers its place and is not finer than its level:
 // the page itself, or an ancestor. Outside a level's window the coarser levels are asked, and where
 // none of them has a page, the finer ones: a view may need fine pages for their error alone, and
 // show them from so far that coarser ones would do. Where there is none at all, the coarsest level's
 // pages show, which have a list of their own.
+//
+// gray: the slot is one of the atlas of grays, in which pages of colors lie whose channels are equal.
 //
 // shown: 63 where the page shows wholly; less, where the coarser one before it still does.
 //
@@ -24,6 +26,7 @@
 
 const HOLDS: u32 = 0x80000000u;
 const WHOLE: u32 = 0x40000000u;
+const GRAY: u32 = 0x8000u;
 
 // A page in the atlas and a place in it.
 struct Found {
@@ -33,6 +36,10 @@ struct Found {
     // The place between their centers: whole and fraction stay apart, for a texel may be thousands of
     // pixels wide.
     t: vec2f,
+}
+
+fn entry_slot(entry: u32) -> i32 {
+    return i32(entry & 0x7fffu);
 }
 
 fn entry_level(entry: u32) -> i32 {

@@ -14,6 +14,7 @@
 @group(1) @binding(1) var height_coverage: texture_2d_array<u32>;
 @group(1) @binding(2) var color_atlas: texture_2d_array<f32>;
 @group(1) @binding(3) var normal_atlas: texture_2d_array<f32>;
+@group(1) @binding(4) var gray_atlas: texture_2d_array<f32>;
 
 const LEAST_VALID_WEIGHT: f32 = 0.001953125;
 
@@ -40,7 +41,7 @@ fn height_tap(at: vec2i, slot: i32, base: f32) -> vec4f {
 }
 
 fn read_height(found: Found, base: f32) -> Texel {
-    let slot = i32(found.entry & 0xffffu);
+    let slot = entry_slot(found.entry);
     let t = found.t;
     let at = found.tap;
     if (found.entry & WHOLE) != 0u {
@@ -64,7 +65,7 @@ fn read_height(found: Found, base: f32) -> Texel {
 
 // Codes, 0 to 1: sRGB, or what areoid_formats::normal says.
 fn read_codes(atlas: texture_2d_array<f32>, found: Found) -> Texel {
-    let slot = i32(found.entry & 0xffffu);
+    let slot = entry_slot(found.entry);
     let t = found.t;
     let at = found.tap;
     let weights = vec4f((1.0 - t.x) * (1.0 - t.y), t.x * (1.0 - t.y), (1.0 - t.x) * t.y, t.x * t.y);
@@ -73,6 +74,28 @@ fn read_codes(atlas: texture_2d_array<f32>, found: Found) -> Texel {
         textureLoad(atlas, at + vec2i(1, 0), slot, 0),
         textureLoad(atlas, at + vec2i(0, 1), slot, 0),
         textureLoad(atlas, at + vec2i(1, 1), slot, 0),
+        weights,
+    );
+}
+
+fn gray_tap(at: vec2i, slot: i32) -> vec4f {
+    return vec4f(vec3f(textureLoad(gray_atlas, at, slot, 0).r), 1.0);
+}
+
+// Colors, wherever they lie: the same to the last bit.
+fn read_color(found: Found) -> Texel {
+    if (found.entry & GRAY) == 0u {
+        return read_codes(color_atlas, found);
+    }
+    let slot = entry_slot(found.entry);
+    let t = found.t;
+    let at = found.tap;
+    let weights = vec4f((1.0 - t.x) * (1.0 - t.y), t.x * (1.0 - t.y), (1.0 - t.x) * t.y, t.x * t.y);
+    return blend_taps(
+        gray_tap(at, slot),
+        gray_tap(at + vec2i(1, 0), slot),
+        gray_tap(at + vec2i(0, 1), slot),
+        gray_tap(at + vec2i(1, 1), slot),
         weights,
     );
 }

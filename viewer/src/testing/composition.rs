@@ -203,6 +203,59 @@ fn composed_normals_are_lit() {
     assert!(off <= 2.0, "{off}");
 }
 
+/// Colors whose channels are equal but for the blue one, which is so many codes more.
+fn tinted(codes: f32) -> Planet {
+    let mut planet = Planet::default();
+    planet.add(globe("base", Kind::Color, 1024, 0), |place| {
+        let gray = code(waves(place, 23.0));
+        ([gray, gray, gray + codes], 255)
+    });
+    planet
+}
+
+#[test]
+fn gray_pages_are_composed_as_others_are() {
+    let mut planet = tinted(0.0);
+    planet.add(region("sharp", Kind::Color, 1), |place| {
+        ([code(waves(place, 60.0)); 3], feathered(place))
+    });
+    let selection = planet.selection(|_| true);
+    let options = Options { anisotropy: 0, ..Options::default() };
+    let (image, places) = draw(&selection, &UNLIT, &options);
+    let surface = Surface::new(&selection);
+    let off = worst(&image, &places, |place, footprint_m| surface.color(place, footprint_m));
+    assert!(off <= 2.0, "{off}");
+
+    // In another atlas, all that is the same is the same to the last bit.
+    let (colored, _) = draw(&tinted(1.0).selection(|_| true), &UNLIT, &options);
+    let (gray, _) = draw(&tinted(0.0).selection(|_| true), &UNLIT, &options);
+    for (one, other) in gray.rgba.chunks_exact(4).zip(colored.rgba.chunks_exact(4)) {
+        assert!(one[..2] == other[..2] && one[2].abs_diff(other[2]) <= 1, "{one:?} {other:?}");
+    }
+    assert!(gray != colored);
+}
+
+#[test]
+fn gray_pages_take_a_quarter_of_the_memory() {
+    let options = Options {
+        upload_limit_bytes: u64::MAX,
+        upload_limit_seconds: f64::INFINITY,
+        ..Options::default()
+    };
+    let left_out = |codes: f32| {
+        let selection = tinted(codes).selection(|_| true);
+        let texels: usize = selection.pages.iter().map(|page| page.page.side().pow(2)).sum();
+        // Of which an atlas has three quarters.
+        let budget_bytes = (texels * 4).div_ceil(3);
+        let mut renderer = Renderer::with_budget(gpu(), body(), budget_bytes as u64);
+        let drawn = renderer.render(&view(), &selection, &UNLIT, &options);
+        assert_eq!(drawn.pending_pages, 0);
+        drawn.left_out_pages as f64 / selection.pages.len() as f64
+    };
+    assert_eq!(left_out(0.0), 0.0);
+    assert!((left_out(1.0) - 0.75).abs() < 0.01, "{}", left_out(1.0));
+}
+
 #[test]
 fn a_page_that_comes_fades_in_and_a_picture_at_rest_is_not_drawn() {
     let planet = planet();
