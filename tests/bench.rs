@@ -182,6 +182,12 @@ fn serving_is_measured_beside_nginx_where_that_is_installed() {
     }
     let measured = array(&report, "/targets").iter().filter(|one| one["measured"].is_f64());
     assert!(measured.count() >= 12 + 2, "{report}");
+    let cases = array(&report, "/chapters/live/cases");
+    assert_eq!(cases.len(), if can_be_parted() { 2 } else { 1 });
+    for case in cases {
+        let alone = array(case, "/alone");
+        assert!(!alone.is_empty() && alone.iter().all(|run| run["p99_ms"].as_f64() > Some(0.0)));
+    }
 }
 
 /// The viewer's book at a size that says nothing but that all of it is measured.

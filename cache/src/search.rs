@@ -24,7 +24,7 @@
 use std::fmt;
 use std::sync::Arc;
 
-use areoid_formats::bounds::Place;
+use areoid_formats::bounds::Position;
 use areoid_formats::bvh::{Branch, Parts};
 use areoid_formats::page::Kind;
 use areoid_formats::volume::Volume;
@@ -367,10 +367,10 @@ impl Search<'_> {
     fn is_unseen(&self, part: &Volume, halvings: u32) -> bool {
         let mut is_across = false;
         for lens in self.lenses {
-            match lens.place(part) {
-                Place::Within => return false,
-                Place::Across => is_across = true,
-                Place::Outside => {}
+            match lens.position(part) {
+                Position::Within => return false,
+                Position::Across => is_across = true,
+                Position::Outside => {}
             }
         }
         let is_unseen = |quarter: &Volume| self.is_unseen(quarter, halvings - 1);

@@ -1,6 +1,6 @@
 //! Where a picture is taken from, and how sharp it has to be.
 
-use areoid_formats::bounds::{Aabb, HalfSpace, OrientedBox, Place};
+use areoid_formats::bounds::{Aabb, HalfSpace, OrientedBox, Position};
 use areoid_formats::units::{Meters, Radians};
 use areoid_formats::volume::{Horizon, Volume};
 use glam::{DMat3, DVec3};
@@ -64,7 +64,7 @@ pub(crate) struct Sight {
     /// At most d cos² α of any of its visible points, at the distance d and the angle α from the
     /// axis: what lengths are divided by on their way to the screen.
     pub(crate) reach: f64,
-    /// Whether all of it is in the picture, or behind the body.
+    /// Whether it is seen, and all of it that the body does not hide is in the picture.
     pub(crate) is_whole: bool,
 }
 
@@ -76,7 +76,7 @@ impl Sight {
         self.distance.is_finite()
     }
 
-    /// The stricter of both answers.
+    /// Of both distances and both reaches the stricter; what is whole is its own matter.
     pub(crate) fn within(&self, above: &Self) -> Self {
         let Self { distance, reach, is_whole } = *self;
         Self { distance: distance.max(above.distance), reach: reach.max(above.reach), is_whole }
@@ -123,8 +123,8 @@ impl Lens {
     ///
     /// d cos² α is a cos α, with a the length along the axis: of both, the larger lower bound counts.
     pub(crate) fn sight(&self, volume: &Volume) -> Sight {
-        let place = self.place(volume);
-        if place == Place::Outside {
+        let position = self.position(volume);
+        if position == Position::Outside {
             return Sight::NONE;
         }
         let bounds = volume.bounds();
@@ -133,7 +133,7 @@ impl Lens {
         let cosine = volume.least_cosine(self.eye, self.axis).max(self.corner_cosine);
         let along = bounds.nearest_along(self.axis) - self.axis.dot(self.eye);
         let reach = (distance * cosine * cosine).max(along * cosine);
-        Sight { distance, reach, is_whole: place == Place::Within }
+        Sight { distance, reach, is_whole: position == Position::Within }
     }
 
     /// How near a box is to the view, and with it what lies in it.
@@ -198,14 +198,15 @@ impl Lens {
             && !self.horizon.is_some_and(|horizon| horizon.hides_point(point))
     }
 
-    /// Whether a page is out of sight, or wholly in the picture, or behind the body.
-    pub(crate) fn place(&self, volume: &Volume) -> Place {
+    /// Where a page lies, relative to the picture: outside if none of it can be seen, within if all of it
+    /// is in the picture that the body does not hide.
+    pub(crate) fn position(&self, volume: &Volume) -> Position {
         if self.horizon.is_some_and(|horizon| volume.hidden_by(&horizon)) {
-            return Place::Outside;
+            return Position::Outside;
         }
-        match volume.place_in(&self.frustum) {
-            Place::Across if self.is_beyond_a_face(volume) => Place::Outside,
-            place => place,
+        match volume.position_in(&self.frustum) {
+            Position::Across if self.is_beyond_a_face(volume) => Position::Outside,
+            position => position,
         }
     }
 

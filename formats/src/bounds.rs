@@ -122,9 +122,9 @@ impl Aabb {
     }
 }
 
-/// Where something lies to half spaces.
+/// Where something lies, relative to half spaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
+pub enum Position {
     /// Wholly outside one of them.
     Outside,
     /// Neither, as far as is known.
@@ -163,22 +163,23 @@ impl OrientedBox {
         -self.farthest_along(-direction)
     }
 
-    /// Where the box lies to all of the half spaces.
+    /// Where the box lies, relative to half spaces; within them if there is none.
     #[must_use]
-    pub fn place_in(&self, frustum: &[HalfSpace]) -> Place {
-        let mut place = Place::Within;
+    pub fn position_in(&self, frustum: &[HalfSpace]) -> Position {
+        let mut position = Position::Within;
         for side in frustum {
             let half = self.half_along(side.normal);
             let middle = side.normal.dot(self.center) - side.offset;
             if middle < -half {
-                return Place::Outside;
+                return Position::Outside;
             }
+            // What is no number is across.
             let is_within = middle >= half;
             if !is_within {
-                place = Place::Across;
+                position = Position::Across;
             }
         }
-        place
+        position
     }
 
     /// How far away the nearest point of the box is.
@@ -251,6 +252,18 @@ mod tests {
         assert!(!unit.meets(&Aabb::EMPTY));
     }
 
+    #[test]
+    fn a_box_of_no_numbers_is_neither_within_nor_outside() {
+        let side = HalfSpace::through(DVec3::ZERO, DVec3::X);
+        for (center, half) in
+            [(f64::NAN, 1.0), (0.0, f64::NAN), (0.0, f64::INFINITY), (f64::NAN, f64::INFINITY)]
+        {
+            let (center, half) = (DVec3::splat(center), DVec3::splat(half));
+            let volume = OrientedBox { center, axes: DMat3::IDENTITY, half };
+            assert_eq!(volume.position_in(&[side]), Position::Across);
+        }
+    }
+
     proptest! {
         #[test]
         fn an_oriented_box_lies_in_its_aligned_one(
@@ -270,13 +283,29 @@ mod tests {
             prop_assert!((volume.farthest_along(direction) - farthest).abs() < 1e-9);
             let side = HalfSpace::through(eye, direction);
             prop_assert_eq!(aabb.outside(&[side]), aabb.farthest_along(direction) < side.offset);
-            let inside = volume.corners().map(|corner| direction.dot(corner) - side.offset);
-            let sure = |sign: f64| inside.iter().all(|along| sign * along > 1e-9);
-            match volume.place_in(&[side]) {
-                Place::Outside => prop_assert!(!inside.iter().any(|along| *along > 1e-9)),
-                Place::Within => prop_assert!(!inside.iter().any(|along| *along < -1e-9)),
-                Place::Across => prop_assert!(!sure(1.0) && !sure(-1.0)),
-            }
+        }
+
+        #[test]
+        fn corners_tell_where_a_box_lies(
+            volume in oriented(), sides in prop::collection::vec((vector(), vector()), 0..5),
+        ) {
+            let sides: Vec<HalfSpace> =
+                sides.iter().map(|&(eye, normal)| HalfSpace::through(eye, normal)).collect();
+            let depths: Vec<[f64; 8]> = sides
+                .iter()
+                .map(|side| volume.corners().map(|corner| side.normal.dot(corner) - side.offset))
+                .collect();
+            // Nearer to a plane than that, rounding tells.
+            prop_assume!(depths.iter().flatten().all(|depth| depth.abs() > 1e-9));
+            let is_outside = |depths: &[f64; 8]| depths.iter().all(|depth| *depth < 0.0);
+            let expected = if depths.iter().any(is_outside) {
+                Position::Outside
+            } else if depths.iter().flatten().all(|depth| *depth > 0.0) {
+                Position::Within
+            } else {
+                Position::Across
+            };
+            prop_assert_eq!(volume.position_in(&sides), expected);
         }
     }
 }

@@ -58,6 +58,7 @@ pub struct Page {
     side: usize,
     texels: Texels,
     coverage: Option<Vec<u8>>,
+    is_gray: bool,
 }
 
 /// A value read from a page, and how the page covers the place.
@@ -91,7 +92,21 @@ impl Page {
             coverage.as_ref().is_none_or(|c| c.len() == count),
             "coverage stands beside texels"
         );
-        Self { side, texels, coverage }
+        let is_gray = match &texels {
+            Texels::Height(_) => false,
+            Texels::Color(colors) => {
+                coverage.is_none()
+                    && colors.iter().all(|[red, green, blue]| red == green && green == blue)
+            }
+        };
+        Self { side, texels, coverage, is_gray }
+    }
+
+    /// Whether one channel tells all: these are colors, all fully covered, whose red, green and blue are
+    /// equal, as in most mosaics of planets.
+    #[must_use]
+    pub fn is_gray(&self) -> bool {
+        self.is_gray
     }
 
     /// Texels along a side, border included.

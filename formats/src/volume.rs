@@ -29,7 +29,7 @@
 use glam::{DMat3, DVec3};
 
 use crate::address::PageAddress;
-use crate::bounds::{Aabb, HalfSpace, OrientedBox, Place};
+use crate::bounds::{Aabb, HalfSpace, OrientedBox, Position};
 use crate::footprint::{Extents, Footprint};
 use crate::geodesy::Geographic;
 use crate::grid::Grid;
@@ -206,10 +206,10 @@ impl Volume {
         horizon.hides(along, self.greatest_radius)
     }
 
-    /// Where it lies to all of the half spaces.
+    /// Where it lies, relative to half spaces.
     #[must_use]
-    pub fn place_in(&self, frustum: &[HalfSpace]) -> Place {
-        self.bounds.place_in(frustum)
+    pub fn position_in(&self, frustum: &[HalfSpace]) -> Position {
+        self.bounds.position_in(frustum)
     }
 
     /// At most the cosine of the angle at `eye` between the unit vector `axis` and any of its

@@ -4,7 +4,7 @@
 
 use areoid_formats::address::PageAddress;
 use areoid_formats::body::{Body, Ellipsoid};
-use areoid_formats::bounds::{HalfSpace, Place};
+use areoid_formats::bounds::{HalfSpace, Position};
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::grid::{Grid, Outline, TexelPoint};
 use areoid_formats::projection::{Crs, Projection};
@@ -234,12 +234,15 @@ proptest! {
         let distance = volume.distance_from(eye).0;
         let cosine = volume.least_cosine(eye, axis);
         let side = HalfSpace::through(eye, axis);
-        let place = volume.place_in(&[side]);
+        let position = volume.position_in(&[side]);
         for &point in &points {
             prop_assert!(distance <= point.distance(eye), "{name} {page}");
             prop_assert!(!hidden || sphere_hides(eye, point, sphere), "{name} {page}");
             let inside = (point - eye).dot(axis) >= 0.0;
-            prop_assert!(place == Place::Across || (place == Place::Within) == inside, "{name} {page}");
+            prop_assert!(
+                position == Position::Across || (position == Position::Within) == inside,
+                "{name} {page}"
+            );
             let angle = (point - eye).normalize().dot(axis);
             prop_assert!(cosine == 0.0 || cosine <= angle, "{name} {page}");
         }

@@ -4,7 +4,8 @@ use std::io;
 
 use super::report::cores;
 
-/// One half of the processors that this program may use. Of an odd one more the second has it.
+/// One half of the processors that this program may use; if their number is odd, the second has one more.
+/// Threads of one core are in one half, as far as that goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Half {
     First,
@@ -34,19 +35,39 @@ fn on_half<T>(half: Half, work: impl FnOnce() -> io::Result<T>) -> io::Result<T>
     use nix::sched::{CpuSet, sched_getaffinity, sched_setaffinity};
     use nix::unistd::Pid;
 
-    let this_thread = Pid::from_raw(0);
-    let all = sched_getaffinity(this_thread)?;
-    let mine: Vec<usize> =
+    const THIS_THREAD: Pid = Pid::from_raw(0);
+
+    /// Where this thread may run when it is done.
+    struct Home(CpuSet);
+
+    impl Drop for Home {
+        fn drop(&mut self) {
+            // It was there before.
+            let _ = sched_setaffinity(THIS_THREAD, &self.0);
+        }
+    }
+
+    let all = sched_getaffinity(THIS_THREAD)?;
+    let mut mine: Vec<usize> =
         (0..CpuSet::count()).filter(|&cpu| all.is_set(cpu).is_ok_and(|is_set| is_set)).collect();
+    mine.sort_by_key(|&cpu| (core_of(cpu), cpu));
     let (first, second) = mine.split_at(mine.len() / 2);
     let mut some = CpuSet::new();
     for &cpu in if half == Half::First { first } else { second } {
         some.set(cpu)?;
     }
-    sched_setaffinity(this_thread, &some)?;
-    let done = work();
-    sched_setaffinity(this_thread, &all)?;
-    done
+    let _home = Home(all);
+    sched_setaffinity(THIS_THREAD, &some)?;
+    work()
+}
+
+/// The package and the core that a processor is a thread of, as far as the system tells.
+#[cfg(target_os = "linux")]
+fn core_of(cpu: usize) -> [Option<usize>; 2] {
+    ["physical_package_id", "core_id"].map(|name| {
+        let path = format!("/sys/devices/system/cpu/cpu{cpu}/topology/{name}");
+        std::fs::read_to_string(path).ok()?.trim().parse().ok()
+    })
 }
 
 #[cfg(not(target_os = "linux"))]
@@ -84,6 +105,8 @@ mod tests {
         }
         assert_eq!(&first | &second, all);
         assert_eq!(on(None, || Ok(allowed())).unwrap().unwrap(), all);
+        let failed = on(Some(Half::First), || -> io::Result<()> { Err(io::Error::other("no")) });
+        assert!(failed.is_err());
         assert_eq!(allowed().unwrap(), all);
     }
 }

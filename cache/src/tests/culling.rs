@@ -36,8 +36,16 @@ fn search_exaggerated(
     (view, exaggeration): (&View, f64),
     allowance: usize,
 ) -> Found {
-    let mut found = Found::default();
-    let (hidden, views) = (&Hidden::default(), std::slice::from_ref(view));
+    search_all(scene, memo, (std::slice::from_ref(view), exaggeration), allowance)
+}
+
+fn search_all(
+    scene: &Scene,
+    memo: &mut Memo,
+    (views, exaggeration): (&[View], f64),
+    allowance: usize,
+) -> Found {
+    let (mut found, hidden) = (Found::default(), &Hidden::default());
     let wish = Wish { views, exaggeration, hidden, allowance, blends: true, only: None };
     crate::search::search(scene, memo, wish, &mut found);
     found
@@ -221,6 +229,29 @@ proptest! {
             ..view(longitude, latitude, 10.0_f64.powf(altitude), pitch)
         };
         check(&[globe, cap], &scene, &view, exaggeration);
+    }
+
+    /// Whichever of them the body is in the way of.
+    #[test]
+    fn two_views_cull_nothing_that_either_sees(
+        places in prop::array::uniform2((-180.0..180.0, -90.0..90.0, 3.5..7.3_f64, 0.0..100.0)),
+        tolerance_px in 0.2..50.0,
+    ) {
+        let (globe, cap) = both();
+        let (scene, inner) = (scene(&[globe, cap]), inner(&[globe, cap], 1.0));
+        let views = places.map(|(longitude, latitude, altitude, pitch)| View {
+            tolerance_px,
+            ..view(longitude, latitude, 10.0_f64.powf(altitude), pitch)
+        });
+        let found = search_all(&scene, &mut Memo::default(), (&views, 1.0), usize::MAX);
+        for (place, dataset) in [globe, cap].into_iter().enumerate() {
+            let finest = dataset.info.grid.pyramid().finest();
+            for entry in dataset.entries.iter().filter(|entry| entry.page.level == finest) {
+                let mut points = points(dataset, entry, 4, 1.0).into_iter();
+                let is_seen = points.any(|point| views.iter().any(|view| is_seen(view, inner, point)));
+                prop_assert!(!is_seen || wanted_over(&found, place, entry.page).is_some(), "{}", entry.page);
+            }
+        }
     }
 }
 

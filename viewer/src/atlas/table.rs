@@ -99,6 +99,7 @@ pub(crate) fn append(
 }
 
 fn entry(shown: &Shown) -> u32 {
+    debug_assert!(shown.slot < MOST_SLOTS, "{} is a slot that no entry can name", shown.slot);
     let whole = if shown.whole { WHOLE } else { 0 };
     let gray = if shown.gray { GRAY } else { 0 };
     let presence = u32::from(shown.presence.min(PRESENT)) << PRESENCE_SHIFT;
@@ -218,7 +219,7 @@ mod tests {
             pages.dedup();
             let shown: Vec<Shown> = (0..).zip(&pages)
                 .map(|(slot, &page)| {
-                    Shown { page, slot, gray: slot % 3 == 0, whole: slot % 2 == 0, presence: 7 }
+                    Shown { page, slot, gray: false, whole: slot % 2 == 0, presence: 7 }
                 })
                 .collect();
             let mut table = vec![7; 3];

@@ -1,6 +1,6 @@
 //! An atlas on the GPU: texture arrays of one page a layer, grown on demand up to a budget.
 
-use areoid_formats::page::{Page, Texels};
+use areoid_formats::page::{Kind, Page, Texels};
 
 use super::slots::{PageName, Placed, Slots};
 use super::table::MOST_SLOTS;
@@ -10,13 +10,13 @@ use crate::gpu::Gpu;
 /// Layers at first.
 const FIRST_LAYERS: u32 = 16;
 
-/// Whose pages an atlas holds.
+/// Which pages an atlas holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Content {
     Heights,
     Colors,
     Normals,
-    /// Pages of colors that [are gray](is_gray).
+    /// Colors of [gray pages](Page::is_gray): in a quarter of the memory, they look the same.
     Grays,
 }
 
@@ -39,15 +39,31 @@ const NORMALS: [Plane; 1] =
 const GRAYS: [Plane; 1] =
     [Plane { label: "grays", format: wgpu::TextureFormat::R8Unorm, bytes_per_texel: 1 }];
 
-/// Whether a page of colors needs one channel alone: it is fully covered, and red, green and blue are
-/// equal everywhere, as in most mosaics of planets. It takes a quarter of the memory, and looks the same.
-pub(crate) fn is_gray(page: &Page) -> bool {
-    let Texels::Color(colors) = page.texels() else { return false };
-    page.coverage().is_none()
-        && colors.iter().all(|[red, green, blue]| red == green && green == blue)
+impl Content {
+    /// In the order of their numbers.
+    pub(crate) const ALL: [Self; 4] = [Self::Heights, Self::Colors, Self::Normals, Self::Grays];
+
+    /// The kind of the datasets whose pages it may hold.
+    pub(crate) fn kind(self) -> Kind {
+        match self {
+            Self::Heights => Kind::Height,
+            Self::Colors | Self::Grays => Kind::Color,
+            Self::Normals => Kind::Normal,
+        }
+    }
+
+    /// The one that a page of a kind belongs to.
+    pub(crate) fn of(kind: Kind, page: &Page) -> Self {
+        match kind {
+            Kind::Height => Self::Heights,
+            Kind::Color if page.is_gray() => Self::Grays,
+            Kind::Color => Self::Colors,
+            Kind::Normal => Self::Normals,
+        }
+    }
 }
 
-/// The pages of one kind on the GPU.
+/// The pages of one content on the GPU.
 #[derive(Debug)]
 pub(crate) struct Atlas {
     planes: &'static [Plane],

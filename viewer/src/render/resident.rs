@@ -5,12 +5,11 @@ use std::collections::HashMap;
 use areoid_cache::{Datasets, ResidentPage, Selection};
 use areoid_formats::address::PageKey;
 use areoid_formats::archive::Payload;
-use areoid_formats::page::{Kind, Page};
 
 use super::linger::{self, Trace};
 use crate::atlas::slots::PageName;
 use crate::atlas::table::{self, PRESENT, Shown};
-use crate::atlas::texture::{Atlas, Content, is_gray};
+use crate::atlas::texture::{Atlas, Content};
 use crate::atlas::uploads::{Allowance, Uploads};
 use crate::gpu::Gpu;
 use crate::map::Maps;
@@ -38,14 +37,10 @@ impl Clock {
     }
 }
 
-/// What the atlases hold, in their order.
-const CONTENTS: [Content; 4] =
-    [Content::Heights, Content::Colors, Content::Normals, Content::Grays];
-
 /// What of a selection is on the GPU.
 #[derive(Debug)]
 pub(crate) struct Resident {
-    /// Of heights, colors, normals and grays.
+    /// By content.
     atlases: [Atlas; 4],
     uploads: Uploads,
     budget_bytes: u64,
@@ -66,8 +61,6 @@ pub(crate) struct Resident {
     roots: Vec<Vec<Shown>>,
     /// What the picture before showed.
     before: Vec<Trace>,
-    /// Whether pages of colors are gray: they are gone through once, and may wait for room for long.
-    grays: HashMap<PageName, bool>,
 }
 
 /// What [`Resident::bring`] did.
@@ -88,7 +81,7 @@ pub(crate) struct Brought {
 impl Resident {
     pub(crate) fn new(gpu: &Gpu, budget_bytes: u64) -> Self {
         Self {
-            atlases: CONTENTS.map(|content| Atlas::new(gpu, content, 8, budget_bytes)),
+            atlases: Content::ALL.map(|content| Atlas::new(gpu, content, 8, budget_bytes)),
             uploads: Uploads::new(gpu),
             budget_bytes,
             datasets: None,
@@ -102,7 +95,6 @@ impl Resident {
             shown: Vec::new(),
             roots: Vec::new(),
             before: Vec::new(),
-            grays: HashMap::new(),
         }
     }
 
@@ -137,7 +129,7 @@ impl Resident {
         // First what is there, so that no new page takes its place.
         let pages = || selection.beneath.iter().chain(&selection.pages);
         for page in selection.roots.iter().chain(pages()) {
-            self.keep(selection, page);
+            self.atlases[content_of(selection, page) as usize].keep(name_of(page));
         }
         let before = std::mem::take(&mut self.before);
         let ages: HashMap<PageName, f64> =
@@ -177,21 +169,6 @@ impl Resident {
         brought
     }
 
-    fn is_gray(&mut self, name: PageName, page: &Page) -> bool {
-        const MOST: usize = 1 << 14;
-        if self.grays.len() == MOST {
-            self.grays.clear();
-        }
-        *self.grays.entry(name).or_insert_with(|| is_gray(page))
-    }
-
-    /// Marks a page as used and says in which atlas and slot it is, if it is.
-    fn keep(&mut self, selection: &Selection, page: &ResidentPage) -> Option<(usize, u32)> {
-        let name = name_of(page);
-        let mut atlases = atlases_of(selection, page).iter();
-        atlases.find_map(|&atlas| Some((atlas, self.atlases[atlas].keep(name)?)))
-    }
-
     /// A page's slot, written if it is new and there is room, and the place of its dataset; none if
     /// that takes no part.
     fn place(
@@ -205,35 +182,32 @@ impl Resident {
         let place = selection.datasets.place(page.dataset);
         let place = place.expect("a page's dataset stands beside it");
         self.shown[place].as_ref()?;
-        let name = name_of(page);
-        let (atlas, slot) = if let Some(found) = self.keep(selection, page) {
-            found
+        let (content, name) = (content_of(selection, page), name_of(page));
+        let atlas = content as usize;
+        let slot = if let Some(slot) = self.atlases[atlas].keep(name) {
+            slot
         } else if !allowance.has_more() {
             brought.put_off += 1;
             return None;
-        } else {
-            let atlas = match atlases_of(selection, page) {
-                &[_, grays] if self.is_gray(name, &page.page) => grays,
-                atlases => atlases[0],
-            };
-            let placed = self.atlases[atlas].place(gpu, &mut self.uploads, name, &page.page);
-            let Some(slot) = placed else {
-                brought.left_out += 1;
-                return None;
-            };
+        } else if let Some(slot) =
+            self.atlases[atlas].place(gpu, &mut self.uploads, name, &page.page)
+        {
             let bytes = page.page.bytes() as u64;
             allowance.take(bytes);
             brought.uploaded += 1;
             brought.uploaded_bytes += bytes;
-            (atlas, slot)
+            slot
+        } else {
+            brought.left_out += 1;
+            return None;
         };
-        let gray = CONTENTS[atlas] == Content::Grays;
-        if selection.datasets[page.dataset].kind == Kind::Height {
+        if content == Content::Heights {
             let slot = slot as usize;
             self.bounds.resize(self.bounds.len().max(slot + 1), 0.0);
             self.bounds[slot] = page.entry.bound;
         }
         let whole = page.page.coverage().is_none();
+        let gray = content == Content::Grays;
         let shown = Shown { page: page.entry.page, slot, gray, whole, presence: PRESENT };
         Some((place, Trace { name, atlas, shown, since: 0.0 }))
     }
@@ -245,13 +219,8 @@ impl Resident {
             return;
         }
         let datasets: Vec<_> = selection.datasets.iter().map(|(_, info)| info).collect();
-        for (atlas, content) in self.atlases.iter_mut().zip(CONTENTS) {
-            let kind = match content {
-                Content::Heights => Kind::Height,
-                Content::Colors | Content::Grays => Kind::Color,
-                Content::Normals => Kind::Normal,
-            };
-            let sides = datasets.iter().filter(|info| info.kind == kind);
+        for (atlas, content) in self.atlases.iter_mut().zip(Content::ALL) {
+            let sides = datasets.iter().filter(|info| info.kind == content.kind());
             let side = sides.map(|info| info.grid.pyramid().page_side()).max().unwrap_or(8);
             if atlas.side() < side {
                 *atlas = Atlas::new(gpu, content, side, self.budget_bytes);
@@ -292,13 +261,9 @@ fn count(length: usize) -> i32 {
     i32::try_from(length).expect("a table is far smaller than 2^31")
 }
 
-/// Which of the atlases a page may lie in: the first, unless it is gray.
-fn atlases_of(selection: &Selection, page: &ResidentPage) -> &'static [usize] {
-    match selection.datasets[page.dataset].kind {
-        Kind::Height => &[0],
-        Kind::Color => &[1, 3],
-        Kind::Normal => &[2],
-    }
+/// Which of the atlases a page belongs to.
+fn content_of(selection: &Selection, page: &ResidentPage) -> Content {
+    Content::of(selection.datasets[page.dataset].kind, &page.page)
 }
 
 fn name_of(page: &ResidentPage) -> PageName {

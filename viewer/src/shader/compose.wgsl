@@ -33,13 +33,6 @@ struct Answer {
     finest: i32,
 }
 
-fn read_found(found: Found, plane: u32) -> Texel {
-    if plane == NORMALS {
-        return read_codes(normal_atlas, found);
-    }
-    return read_color(found);
-}
-
 fn blend_texels(a: Texel, b: Texel, t: f32) -> Texel {
     return Texel(a.value + (b.value - a.value) * t, a.coverage + (b.coverage - a.coverage) * t);
 }
@@ -95,7 +88,7 @@ fn read_page(dataset: Dataset, point: MapPoint, level: i32, plane: u32) -> Answe
         }
         sum.finest = max(sum.finest, own);
         let presence = entry_presence(found.entry);
-        let texel = read_found(found, plane);
+        let texel = read_codes(found, plane == NORMALS);
         if texel.coverage > 0.0 {
             last = Answer(texel, f32(own), own);
             let share = rest * presence;

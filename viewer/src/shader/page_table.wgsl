@@ -16,7 +16,7 @@
 // show them from so far that coarser ones would do. Where there is none at all, the coarsest level's
 // pages show, which have a list of their own.
 //
-// gray: the slot is one of the atlas of grays, in which pages of colors lie whose channels are equal.
+// gray: the slot is one of the atlas of grays, in which fully covered colors lie whose channels are equal.
 //
 // shown: 63 where the page shows wholly; less, where the coarser one before it still does.
 //
@@ -39,7 +39,7 @@ struct Found {
 }
 
 fn entry_slot(entry: u32) -> i32 {
-    return i32(entry & 0x7fffu);
+    return i32(entry & (GRAY - 1u));
 }
 
 fn entry_level(entry: u32) -> i32 {

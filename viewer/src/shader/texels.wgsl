@@ -24,6 +24,10 @@ struct Texel {
     coverage: f32,
 }
 
+fn tap_weights(t: vec2f) -> vec4f {
+    return vec4f((1.0 - t.x) * (1.0 - t.y), t.x * (1.0 - t.y), (1.0 - t.x) * t.y, t.x * t.y);
+}
+
 fn blend_taps(a: vec4f, b: vec4f, c: vec4f, d: vec4f, weights: vec4f) -> Texel {
     let valid = select(vec4f(0.0), weights, vec4f(a.w, b.w, c.w, d.w) > vec4f(0.0));
     let sum = valid.x + valid.y + valid.z + valid.w;
@@ -53,49 +57,34 @@ fn read_height(found: Found, base: f32) -> Texel {
         let below = c + (d - c) * t.x;
         return Texel(vec3f(above + (below - above) * t.y, 0.0, 0.0), 1.0);
     }
-    let weights = vec4f((1.0 - t.x) * (1.0 - t.y), t.x * (1.0 - t.y), (1.0 - t.x) * t.y, t.x * t.y);
     return blend_taps(
         height_tap(at, slot, base),
         height_tap(at + vec2i(1, 0), slot, base),
         height_tap(at + vec2i(0, 1), slot, base),
         height_tap(at + vec2i(1, 1), slot, base),
-        weights,
+        tap_weights(t),
     );
+}
+
+fn code_tap(entry: u32, is_normal: bool, at: vec2i) -> vec4f {
+    let slot = entry_slot(entry);
+    if is_normal {
+        return textureLoad(normal_atlas, at, slot, 0);
+    }
+    if (entry & GRAY) != 0u {
+        return vec4f(vec3f(textureLoad(gray_atlas, at, slot, 0).r), 1.0);
+    }
+    return textureLoad(color_atlas, at, slot, 0);
 }
 
 // Codes, 0 to 1: sRGB, or what areoid_formats::normal says.
-fn read_codes(atlas: texture_2d_array<f32>, found: Found) -> Texel {
-    let slot = entry_slot(found.entry);
-    let t = found.t;
+fn read_codes(found: Found, is_normal: bool) -> Texel {
     let at = found.tap;
-    let weights = vec4f((1.0 - t.x) * (1.0 - t.y), t.x * (1.0 - t.y), (1.0 - t.x) * t.y, t.x * t.y);
     return blend_taps(
-        textureLoad(atlas, at, slot, 0),
-        textureLoad(atlas, at + vec2i(1, 0), slot, 0),
-        textureLoad(atlas, at + vec2i(0, 1), slot, 0),
-        textureLoad(atlas, at + vec2i(1, 1), slot, 0),
-        weights,
-    );
-}
-
-fn gray_tap(at: vec2i, slot: i32) -> vec4f {
-    return vec4f(vec3f(textureLoad(gray_atlas, at, slot, 0).r), 1.0);
-}
-
-// Colors, wherever they lie: the same to the last bit.
-fn read_color(found: Found) -> Texel {
-    if (found.entry & GRAY) == 0u {
-        return read_codes(color_atlas, found);
-    }
-    let slot = entry_slot(found.entry);
-    let t = found.t;
-    let at = found.tap;
-    let weights = vec4f((1.0 - t.x) * (1.0 - t.y), t.x * (1.0 - t.y), (1.0 - t.x) * t.y, t.x * t.y);
-    return blend_taps(
-        gray_tap(at, slot),
-        gray_tap(at + vec2i(1, 0), slot),
-        gray_tap(at + vec2i(0, 1), slot),
-        gray_tap(at + vec2i(1, 1), slot),
-        weights,
+        code_tap(found.entry, is_normal, at),
+        code_tap(found.entry, is_normal, at + vec2i(1, 0)),
+        code_tap(found.entry, is_normal, at + vec2i(0, 1)),
+        code_tap(found.entry, is_normal, at + vec2i(1, 1)),
+        tap_weights(found.t),
     );
 }

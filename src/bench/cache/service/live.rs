@@ -39,18 +39,18 @@ const CONNECTIONS: usize = 8;
 /// Clients that listen to events.
 const LISTENERS: usize = 8;
 
-/// Runs without an insertion before each, and up to twice as many during it.
+/// Runs one after another without an insertion, before each that is made.
 ///
 /// The 99th percentile of one run is a matter of where the system puts threads: a third of a millisecond or
 /// three, whether something is inserted or not. Many short runs tell their median.
-const RUNS_AT_ONCE: usize = 4;
+const RUNS_IN_A_ROW: usize = 8;
 
 /// However short insertions are, there are no more.
 const MOST_INSERTIONS: usize = 8;
 
 const TOKEN: &str = "a token of the benchmark";
 
-/// Where those who ask run.
+/// Where the server runs, and where those who ask.
 #[derive(Clone, Copy, Debug)]
 struct Setup {
     name: &'static str,
@@ -62,6 +62,12 @@ const SETUPS: [Setup; 2] = [
     Setup { name: "asked from other cores", halves: [Some(Half::First), Some(Half::Second)] },
     Setup { name: "asked from its own cores", halves: [None; 2] },
 ];
+
+impl Setup {
+    fn is_parted(&self) -> bool {
+        self.halves != [None; 2]
+    }
+}
 
 /// What was found in one of them.
 #[derive(Debug)]
@@ -97,8 +103,9 @@ pub(in super::super) fn measure(outside: &Outside<'_>) -> Result<Chapter, Failur
     let wrk = outside.peers.program("wrk");
     let wrk = wrk.map(|wrk| Wrk::new(wrk, &pages.paths, &folder.join("pages.lua"))).transpose()?;
     let files = Files { catalog, rasters, raster, token, wrk };
-    let runs = 4 * usize::try_from(outside.run_seconds()).unwrap_or(usize::MAX);
-    let setups = SETUPS.iter().filter(|setup| setup.halves == [None; 2] || can_be_parted());
+    // Four for each second of a long one.
+    let runs = usize::try_from(outside.run_seconds()).unwrap_or(usize::MAX).saturating_mul(4);
+    let setups = SETUPS.iter().filter(|setup| !setup.is_parted() || can_be_parted());
     let cases = setups
         .map(|&setup| Case::measure(setup, &files, runs))
         .collect::<Result<Vec<Case>, Failure>>()?;
@@ -120,11 +127,12 @@ pub(in super::super) fn measure(outside: &Outside<'_>) -> Result<Chapter, Failur
         notes: vec![format!(
             "wrk asks for pages of {:.0} KiB over {CONNECTIONS} connections as fast as they come; then \
              again while {megapixels:.1} megapixels are inserted through the admin listener; and so on, \
-             in turn. Runs take a second; those that an insertion did not last for do not \
-             count. On other cores, wrk has one half of them and the server, with its insertions, the \
-             other; on its own, both share all of them, and how its threads are put beside the server's \
-             is a part of what is measured. The commit is when the manifest was written; {LISTENERS} \
-             clients listen to events, and the last one counts.",
+             in turn, until there are enough runs of a second, or {MOST_INSERTIONS} insertions. Runs that \
+             an insertion did not last for do not count. From other cores: wrk has one half of the \
+             processors, the server and its insertions have the other. From its own: both share all of \
+             them, and how the system puts wrk's threads beside the server's is a part of what is \
+             measured. The commit is when the manifest was written; {LISTENERS} clients listen to events, \
+             and the last one counts.",
             pages.mean_bytes / 1024.0,
         )],
         tables: vec![Table {
@@ -154,32 +162,37 @@ impl Case {
         let areoid = on(server, || Areoid::start(&files.catalog, cores(), admin))?;
         let admin = areoid.admin.ok_or_else(|| io::Error::other("there is no admin listener"))?;
         let run = || {
-            let run = |wrk: &Wrk| on(client, || wrk.run(areoid.public, CONNECTIONS, 1));
-            files.wrk.as_ref().map(run).transpose()
+            let ask = |wrk: &Wrk| on(client, || wrk.run(areoid.public, CONNECTIONS, 1));
+            files.wrk.as_ref().map(ask).transpose()
         };
         let mut case = Self { setup, alone: Vec::new(), during: Vec::new(), slowest_s: 0.0 };
-        // The first warms what is to be warm.
-        run()?;
-        let mut number = 0;
-        while number < MOST_INSERTIONS && (case.alone.len() < runs || case.during.len() < runs) {
+        for number in 0..MOST_INSERTIONS {
+            // The first warms what is to be warm, and lets what was inserted come to rest.
+            run()?;
             output::say(format!("serving, {}", setup.name));
-            for _ in 0..RUNS_AT_ONCE {
+            let in_a_row = runs.saturating_sub(case.alone.len()).min(RUNS_IN_A_ROW);
+            for _ in 0..in_a_row {
                 case.alone.extend(run()?);
             }
             output::say("serving during an insertion");
             let listeners = listen(areoid.public)?;
             let name = format!("{}-{number}", setup.name.replace(' ', "-"));
             let inserting = insert(admin, &files.raster, name);
-            for _ in 0..2 * RUNS_AT_ONCE {
-                match run()? {
-                    Some(load) if !inserting.is_finished() => case.during.push(load),
-                    _ => break,
+            let before = case.during.len();
+            while !inserting.is_finished() {
+                let Some(load) = run()? else { break };
+                // One that the insertion did not last for is none.
+                if !inserting.is_finished() {
+                    case.during.push(load);
                 }
             }
-            output::say("waiting for the insertion");
             inserting.join().map_err(|_| io::Error::other("the insertion panicked"))??;
             case.slowest_s = case.slowest_s.max(delay(&files.catalog, listeners)?);
-            number += 1;
+            let is_enough = case.alone.len() >= runs && case.during.len() >= runs;
+            // Insertions that are too short will be the next time.
+            if is_enough || case.during.len() == before {
+                break;
+            }
         }
         Ok(case)
     }
