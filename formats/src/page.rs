@@ -102,8 +102,8 @@ impl Page {
         Self { side, texels, coverage, is_gray }
     }
 
-    /// Whether one channel tells all: these are colors, all fully covered, whose red, green and blue are
-    /// equal, as in most mosaics of planets.
+    /// Whether one channel tells all: every texel has three, is fully covered, and its red, green and blue
+    /// are equal, as in most mosaics of planets.
     #[must_use]
     pub fn is_gray(&self) -> bool {
         self.is_gray
