@@ -78,7 +78,8 @@ fn tells_what_is_in_memory(_: &Path) -> bool {
     false
 }
 
-/// Large pages in memory are sent from their archive where the system can; not from one that was touched.
+/// Large pages in memory are sent from their archive where the system can, if their thread has others to
+/// serve; not from one that was touched.
 #[test]
 fn what_is_in_memory_is_served_whatever_becomes_of_its_archive() {
     let serving = Serving::new();
@@ -113,8 +114,12 @@ fn what_is_in_memory_is_served_whatever_becomes_of_its_archive() {
     let large = before.iter().filter(|body| body.len() > 400_000).count();
     assert!(large > 1, "{large} of {}", before.len());
     let path = serving.place.catalog().join("archives").join(file);
-    assert!(get() == before, "from the archive");
     let filed = || serving.metric("areoid_filed_bytes_total");
+    assert!(get() == before, "from memory");
+    // Two for each thread, so that no other has one to itself.
+    let _others = [(); 4].map(|()| connect(serving.service.public()));
+    eventually("they are there", || serving.metric("areoid_connections") > 4.0);
+    assert!(get() == before, "from the archive");
     let from_archive = filed();
     assert_eq!(from_archive > 0.0, tells_what_is_in_memory(&path));
     let archive = OpenOptions::new().write(true).open(&path).unwrap();

@@ -102,7 +102,7 @@ impl Content {
     fn piece(&mut self, bytes: Bytes) -> Frame<Piece> {
         let filed = self.outbox.as_ref().zip(self.filed.take());
         Frame::data(Piece {
-            _known: filed.map(|(outbox, filed)| outbox.know(&bytes, filed)),
+            _known: filed.and_then(|(outbox, filed)| outbox.know(&bytes, filed)),
             _waiting: self.asked.as_ref().map(|asked| asked.piece(bytes.len())),
             _permit: self.permit.clone(),
             _asked: self.asked.clone(),

@@ -7,6 +7,10 @@
 //! the file. Where that is not what it was when they were read, where a disk would have to be waited for,
 //! and where a system or its file system cannot tell, they are sent from memory.
 //!
+//! So they are to the only connection of a thread. A copy takes the processor no less time than the many small
+//! pieces of a file do once, but what is copied reaches a client sooner; a thread that has several to serve
+//! gets more done without, as copies go through the memory that is near to its processor.
+//!
 //! The file is looked at before each piece that is sent of it. What changes in it until the client's system
 //! has the piece, and what a medium that is read anew makes of it without a change of its times, is the
 //! client's to find: it has the checksum.
@@ -21,6 +25,7 @@ use areoid_formats::archive::{Archive, PageEntry};
 use tokio::io::Interest;
 use tokio::net::TcpStream;
 
+use super::lanes::Counted;
 use system::State;
 
 /// Fewer bytes than that are copied faster than they are found in a file.
@@ -85,6 +90,8 @@ impl Filed {
 #[derive(Debug)]
 pub(super) struct Outbox {
     all: Mutex<Vec<Sending>>,
+    /// The connection, among those of its thread.
+    counted: Arc<Counted>,
     /// Bytes that were sent from files, of all connections.
     counter: Arc<AtomicU64>,
 }
@@ -106,19 +113,23 @@ pub(super) struct Known {
 
 impl Outbox {
     /// Of a connection that begins.
-    pub(super) fn new(counter: Arc<AtomicU64>) -> Arc<Self> {
-        Arc::new(Self { all: Mutex::default(), counter })
+    pub(super) fn new(counted: Arc<Counted>, counter: Arc<AtomicU64>) -> Arc<Self> {
+        Arc::new(Self { all: Mutex::default(), counted, counter })
     }
 
     fn all(&self) -> MutexGuard<'_, Vec<Sending>> {
         self.all.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// `bytes` are those of `filed`, and stay where they are as long as what is returned.
-    pub(super) fn know(self: &Arc<Self>, bytes: &[u8], filed: Filed) -> Known {
+    /// `bytes` are those of `filed`, and stay where they are as long as what is returned; nothing is where
+    /// they are better sent from memory.
+    pub(super) fn know(self: &Arc<Self>, bytes: &[u8], filed: Filed) -> Option<Known> {
+        if self.counted.is_alone() {
+            return None;
+        }
         let (address, count) = (bytes.as_ptr().addr(), bytes.len());
         self.all().push(Sending { address, count, filed });
-        Known { outbox: Arc::clone(self), address }
+        Some(Known { outbox: Arc::clone(self), address })
     }
 
     fn find(&self, bytes: &[u8]) -> Option<Filed> {
@@ -274,6 +285,7 @@ mod tests {
     use tokio::io::AsyncReadExt as _;
     use tokio::net::TcpListener;
 
+    use super::super::lanes::Lane;
     use super::*;
 
     const COUNT: usize = 300_000;
@@ -297,10 +309,12 @@ mod tests {
         });
         let (stream, _) = listener.accept().await.unwrap();
         let counter = Arc::<AtomicU64>::default();
-        let outbox = Outbox::new(Arc::clone(&counter));
+        let lane = Lane::all(1).remove(0);
+        let (counted, _other) = (Arc::new(lane.count()), lane.count());
+        let outbox = Outbox::new(counted, Arc::clone(&counter));
         let (state, file) = (system::state(&file).unwrap(), Arc::new(file));
         let filed = Filed { file: Arc::downgrade(&file), state, start: START };
-        let known = outbox.know(memory, filed);
+        let known = outbox.know(memory, filed).unwrap();
         then(&file);
         let (mut head, mut body) = (head, memory);
         while !(head.is_empty() && body.is_empty()) {
@@ -339,6 +353,21 @@ mod tests {
         let (arrived, from_file) = sent(b"head", &memory, file, |_| {}).await;
         assert!(arrived == [b"head", &other[..]].concat());
         assert_eq!(from_file, COUNT);
+    }
+
+    #[test]
+    fn the_only_connection_of_a_thread_knows_of_no_file() {
+        let memory = [7; COUNT];
+        let file = Arc::new(file_of(&memory));
+        let state = system::state(&file).unwrap();
+        let filed = Filed { file: Arc::downgrade(&file), state, start: START };
+        let lane = Lane::all(1).remove(0);
+        let outbox = Outbox::new(Arc::new(lane.count()), Arc::default());
+        assert!(outbox.know(&memory, filed.clone()).is_none() && !outbox.is_in_use());
+        let other = lane.count();
+        assert!(outbox.know(&memory, filed.clone()).is_some());
+        drop(other);
+        assert!(outbox.know(&memory, filed).is_none());
     }
 
     #[tokio::test]

@@ -93,6 +93,13 @@ impl Lane {
     }
 }
 
+impl Counted {
+    /// Whether its thread has no other.
+    pub(super) fn is_alone(&self) -> bool {
+        self.lanes.open[self.number].load(Relaxed) == 1
+    }
+}
+
 impl Drop for Counted {
     fn drop(&mut self) {
         self.lanes.open[self.number].fetch_sub(1, Relaxed);
@@ -112,5 +119,9 @@ mod tests {
         open.retain(|one| one.number != 2);
         open.extend([lanes[0].count(), lanes[1].count(), lanes[2].count()]);
         assert_eq!(numbers(&open[5..]), [2, 2, 2]);
+        let alone = |open: &[Counted]| open.iter().map(Counted::is_alone).collect::<Vec<_>>();
+        assert_eq!(alone(&open), [false; 8]);
+        open.truncate(2);
+        assert_eq!((numbers(&open), alone(&open)), (vec![1, 0], vec![true; 2]));
     }
 }

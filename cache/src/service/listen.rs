@@ -122,7 +122,7 @@ pub(super) async fn accept<F, R>(
 fn begin<F, R>(
     stream: TcpStream,
     peer: SocketAddr,
-    place: (OwnedSemaphorePermit, Counted),
+    (place, counted): (OwnedSemaphorePermit, Counted),
     hub: &Arc<Hub>,
     limits: Limits,
     respond: F,
@@ -133,7 +133,8 @@ fn begin<F, R>(
     let hub = Arc::clone(hub);
     tokio::spawn(async move {
         hub.metrics.connections.fetch_add(1, Relaxed);
-        let ended = connection(stream, &hub, limits, move |request| respond(request, peer));
+        let respond = move |request| respond(request, peer);
+        let ended = connection(stream, Arc::new(counted), &hub, limits, respond);
         if let Err(error) = ended.await {
             trace!(%peer, error, "connection ended");
         }
@@ -150,6 +151,7 @@ fn refuse(stream: TcpStream) {
 
 async fn connection<F, R>(
     mut stream: TcpStream,
+    counted: Arc<Counted>,
     hub: &Arc<Hub>,
     limits: Limits,
     respond: F,
@@ -172,7 +174,8 @@ where
     let watch = Watch::new(limits.stalled);
     let watched = Arc::clone(&watch);
     // HTTP/2 sends small pieces.
-    let outbox = (!is_http2).then(|| Outbox::new(Arc::clone(&hub.metrics.filed_bytes)));
+    let counter = Arc::clone(&hub.metrics.filed_bytes);
+    let outbox = (!is_http2).then(|| Outbox::new(Arc::clone(&counted), counter));
     let io = TokioIo::new(Patient::new(stream, limits.stalled, outbox.clone()));
     let service = service_fn(move |request| {
         let (asked, outbox, answer) = (watched.request(), outbox.clone(), respond(request));

@@ -257,6 +257,42 @@ fn gray_pages_take_a_quarter_of_the_memory() {
     assert!((left_out(1.0) - 0.75).abs() < 0.01, "{}", left_out(1.0));
 }
 
+/// Where the budget holds no more than what is looked at, in the atlas of grays and in that of colors.
+#[test]
+fn pages_that_made_room_for_others_are_drawn_again() {
+    let options = Options {
+        upload_limit_bytes: u64::MAX,
+        upload_limit_seconds: f64::INFINITY,
+        fade_seconds: 0.0,
+        ..Options::default()
+    };
+    for (codes, texel_bytes) in [(0.0, 1), (1.0, 4)] {
+        let planet = tinted(codes);
+        let looks = [0, 1].map(|odd| {
+            let coarse = Level(2);
+            let mut selection = planet.selection(|page| {
+                let page = page.entry.page;
+                page.level <= coarse || page.row % 2 == odd
+            });
+            selection.generation = 1 + u64::from(odd);
+            selection
+        });
+        let texels = |look: &Selection| -> usize {
+            look.pages.iter().map(|page| page.page.side().pow(2)).sum()
+        };
+        let most = looks.iter().map(texels).max().unwrap();
+        // Of which an atlas has three quarters.
+        let budget_bytes = ((most * texel_bytes).div_ceil(3) * 4) as u64;
+        let mut renderer = Renderer::with_budget(gpu(), body(), budget_bytes);
+        for (turn, look) in looks.iter().cycle().take(4).enumerate() {
+            let drawn = renderer.render(&view(), look, &UNLIT, &options);
+            assert!(drawn.uploaded_pages > 0 && drawn.left_out_pages == 0, "{turn}: {drawn:?}");
+            let fresh = draw(look, &UNLIT, &options).0;
+            assert!(renderer.read_color() == fresh, "{codes}: look {turn}");
+        }
+    }
+}
+
 #[test]
 fn a_page_that_comes_fades_in_and_a_picture_at_rest_is_not_drawn() {
     let planet = planet();
