@@ -102,6 +102,16 @@ impl Found {
         self.refined.clear();
         (self.tolerance_px, self.visited, self.culled) = (f64::INFINITY, 0, 0);
     }
+
+    /// A page takes part: it is wanted if it is sharp enough, and else takes its turn among the others.
+    pub(crate) fn take_in(&mut self, place: usize) {
+        let pixels = self.seen[place].pixels;
+        if pixels <= self.tolerance_px {
+            self.wanted.push(place);
+        } else {
+            self.heap.push(Candidate::new(pixels, place, Step::Refine));
+        }
+    }
 }
 
 impl Candidate {

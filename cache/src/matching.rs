@@ -64,6 +64,7 @@ impl Matcher {
         requests: &mut Vec<Request>,
     ) -> Match {
         self.begin(found);
+        found.wanted.iter().for_each(|&place| store.fetch(found.seen[place].name(scene)));
         let mut result = Match::default();
         let failure = |name: PageName, error: &Arc<str>| FailedPage {
             dataset: name.dataset,

@@ -1,5 +1,6 @@
 //! The datasets that can be seen, as one immutable snapshot.
 
+use std::hint::black_box;
 use std::sync::Arc;
 
 use areoid_formats::address::{Level, PageAddress};
@@ -263,6 +264,15 @@ impl Dataset {
         };
         dataset.roots = roots.into_iter().map(|entry| dataset.node(entry, 1.0)).collect();
         dataset
+    }
+
+    /// Has the processor fetch what a search will ask of a root, and waits for nothing.
+    pub(crate) fn fetch(&self) {
+        if let Some(Node { entry, volume, texel_m }) = self.roots.first() {
+            // They lie this far apart.
+            let bounds = volume.bounds();
+            black_box((entry.bound, bounds.center.x, bounds.half.z, *texel_m, self.texels));
+        }
     }
 
     /// The same on another terrain.

@@ -21,6 +21,7 @@
 //! * `ARCHITECTURE.md`: the error on the screen, and what is out of sight, cheapest first.
 //! * White 2011, chapter 4: the search over a BVH of datasets with a quadtree each.
 
+use std::collections::binary_heap::PeekMut;
 use std::fmt;
 use std::sync::Arc;
 
@@ -28,12 +29,17 @@ use areoid_formats::bounds::Position;
 use areoid_formats::bvh::{Branch, Parts};
 use areoid_formats::page::Kind;
 use areoid_formats::volume::Volume;
+use smallvec::SmallVec;
 
 use crate::found::{Candidate, Found, Glance, Root, Seen, Step};
 use crate::memo::{Memo, Verdict};
 use crate::scene::{Node, Scene};
 use crate::selection::DatasetInfo;
 use crate::view::{Lens, Sight, View};
+
+/// So many branches of the tree are taken apart together: what of them and of their datasets is far from the
+/// processor comes in the time of one.
+const BUNCH: usize = 8;
 
 /// Says which datasets are hidden.
 type Hides = dyn Fn(&DatasetInfo) -> bool + Send + Sync;
@@ -97,7 +103,7 @@ pub(crate) fn search(scene: &Scene, memo: &mut Memo, wish: Wish<'_>, found: &mut
         found.tolerance_px = found.tolerance_px.max(tolerance_px);
         places.iter().for_each(|&place| search.open(place, memo, found));
     } else if let Some(trunk) = scene.tree.trunk() {
-        search.climb(trunk, memo, found);
+        search.climb(&[trunk], memo, found);
     }
     let (mut bytes, mut is_full) = (0, false);
     while let Some(candidate) = found.heap.pop() {
@@ -163,37 +169,52 @@ impl Search<'_> {
     const LONGEST: f64 = 8.0 / 2.0;
     const LEAST_SHARP: f64 = 8.0;
 
-    /// Puts a branch of the tree over the datasets among what is to come, by the largest that one of
-    /// its datasets can be on the screen; opens it if it is one.
-    fn climb(&self, branch: usize, memo: &mut Memo, found: &mut Found) {
-        found.visited += 1;
-        let Branch { bounds, largest_m, parts } = self.scene.tree.branch(branch);
-        let bounds = bounds.grown(self.shift_m);
-        match parts {
-            Parts::Item(slot) => {
-                if self.lenses.iter().any(|lens| !lens.misses_box(&bounds)) {
-                    self.open(self.scene.slots[slot as usize], memo, found);
+    /// Puts branches of the tree over the datasets among what is to come, by the largest that one of
+    /// their datasets can be on the screen; opens those that are one.
+    fn climb(&self, branches: &[usize], memo: &mut Memo, found: &mut Found) {
+        let Scene { tree, slots, datasets, .. } = self.scene;
+        branches.iter().for_each(|&branch| tree.fetch(branch));
+        found.visited += branches.len();
+        let mut items = SmallVec::<[usize; 2 * BUNCH]>::new();
+        for &branch in branches {
+            let Branch { bounds, largest_m, parts } = tree.branch(branch);
+            let bounds = bounds.grown(self.shift_m);
+            match parts {
+                Parts::Item(slot) => {
+                    if self.lenses.iter().any(|lens| !lens.misses_box(&bounds)) {
+                        items.push(slots[slot as usize]);
+                    }
                 }
-            }
-            Parts::Branches(_) => {
-                let sights = self.lenses.iter().map(|lens| {
-                    if lens.misses_box(&bounds) { Sight::NONE } else { lens.sight_of_box(&bounds) }
-                });
-                let pixels = self.worst(largest_m + 2.0 * self.shift_m, sights);
-                if pixels >= Lens::SMALLEST_PX {
-                    found.heap.push(Candidate::new(pixels, branch, Step::Climb));
+                Parts::Branches(_) => {
+                    let sights = self.lenses.iter().map(|lens| {
+                        let is_missed = lens.misses_box(&bounds);
+                        if is_missed { Sight::NONE } else { lens.sight_of_box(&bounds) }
+                    });
+                    let pixels = self.worst(largest_m + 2.0 * self.shift_m, sights);
+                    if pixels >= Lens::SMALLEST_PX {
+                        found.heap.push(Candidate::new(pixels, branch, Step::Climb));
+                    }
                 }
             }
         }
+        items.iter().for_each(|&dataset| datasets[dataset].fetch());
+        items.iter().for_each(|&dataset| self.open(dataset, memo, found));
     }
 
-    /// Takes a branch of the tree apart.
+    /// Takes a branch of the tree apart, and those with it that would be next, but for its parts.
     fn take_apart(&self, branch: usize, memo: &mut Memo, found: &mut Found) {
-        if let Parts::Branches(children) = self.scene.tree.branch(branch).parts {
-            for child in children {
-                self.climb(child, memo, found);
+        let mut children = SmallVec::<[usize; 2 * BUNCH]>::new();
+        let mut next = Some(branch);
+        while let Some(branch) = next {
+            if let Parts::Branches(parts) = self.scene.tree.branch(branch).parts {
+                children.extend(parts);
             }
+            let is_full = children.len() == 2 * BUNCH;
+            let first = found.heap.peek_mut();
+            let first = first.filter(|first| !is_full && first.step() == Step::Climb);
+            next = first.map(|first| PeekMut::pop(first).place());
         }
+        self.climb(&children, memo, found);
     }
 
     /// Looks at the roots of a dataset.
@@ -228,7 +249,7 @@ impl Search<'_> {
         let (place, sights) = (found.seen.len(), place * views..(place + 1) * views);
         found.sights.extend_from_slice(&found.root_sights[sights]);
         found.seen.push(glance.seen(dataset, node, None));
-        found.heap.push(Candidate::new(glance.pixels, place, Step::Refine));
+        found.take_in(place);
     }
 
     /// Puts a page's children in its place, if they are known and there is room for them.
@@ -301,10 +322,7 @@ impl Search<'_> {
             let least = self.least(&parent, dataset.kind, first, found);
             found.refined.push((place, least));
         }
-        for place in first..found.seen.len() {
-            let pixels = found.seen[place].pixels;
-            found.heap.push(Candidate::new(pixels, place, Step::Refine));
-        }
+        (first..found.seen.len()).for_each(|place| found.take_in(place));
     }
 
     /// The least error of a page where its children, from `first` on in `seen`, are seen, over the
