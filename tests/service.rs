@@ -32,6 +32,7 @@ mod service {
     mod process;
     mod remote;
     mod rig;
+    mod road;
     mod server;
     mod sessions;
 }

@@ -270,10 +270,17 @@ impl Load {
             }
             return Ok(Outcome::Loaded(None));
         }
-        let payload = pages.payload(&request.entry)?;
-        if self.shared.store().cancel_if_unwanted(self.work) {
-            return Ok(Outcome::Cancelled);
-        }
+        let is_wanted = || self.shared.store().is_wanted(self.work);
+        let payload = loop {
+            let payload = pages.payload_while(&request.entry, &is_wanted)?;
+            if self.shared.store().cancel_if_unwanted(self.work) {
+                return Ok(Outcome::Cancelled);
+            }
+            // Given up, it may be wanted again.
+            if let Some(payload) = payload {
+                break payload;
+            }
+        };
         let texels = pages.decode(&request.entry, &payload)?;
         let resident = ResidentPage { dataset, entry: request.entry, page: texels };
         Ok(Outcome::Loaded(Some(Arc::new(resident))))

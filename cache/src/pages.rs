@@ -33,6 +33,21 @@ pub trait PageSource: fmt::Debug + Send + Sync {
     /// [`ArchiveError`] if they cannot be read, or are not what was stored.
     fn payload(&self, entry: &PageEntry) -> Result<Vec<u8>, ArchiveError>;
 
+    /// [`Self::payload`], or `None` if it was given up because `is_wanted` was false. Who waits long for a
+    /// medium asks that again and again; others need not ask.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`Self::payload`].
+    fn payload_while(
+        &self,
+        entry: &PageEntry,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Result<Option<Vec<u8>>, ArchiveError> {
+        let _ = is_wanted;
+        self.payload(entry).map(Some)
+    }
+
     /// The texels of a page from its stored bytes.
     ///
     /// # Errors

@@ -333,15 +333,19 @@ impl Store {
         None
     }
 
+    /// Whether a session wants a load, now or soon.
+    pub(crate) fn is_wanted(&self, work: Work) -> bool {
+        let mut queues = self.queues.values();
+        queues.any(|queue| queue.wanted.contains(&work) || queue.wanted_ahead.contains(&work))
+    }
+
     /// Ends a load if nobody wants it any more; whether it did.
     pub(crate) fn cancel_if_unwanted(&mut self, work: Work) -> bool {
-        let mut queues = self.queues.values();
-        let wanted =
-            queues.any(|queue| queue.wanted.contains(&work) || queue.wanted_ahead.contains(&work));
-        if !wanted {
+        let is_unwanted = !self.is_wanted(work);
+        if is_unwanted {
             self.finish(work, Outcome::Cancelled);
         }
-        !wanted
+        is_unwanted
     }
 
     /// Ends a load.

@@ -14,6 +14,7 @@ use serde_json::json;
 use tempfile::TempDir;
 
 use super::rig::{NAME, Serving, eventually, ingest};
+use super::road::Road;
 
 const OPTIONS: Options =
     Options { budget_bytes: 64 << 20, in_flight_bytes: 16 << 20, concurrent_loads: 8 };
@@ -167,6 +168,37 @@ fn a_session_outlives_its_server_and_heals() {
 }
 
 /// What was kept, and is not what it should be, is asked for once more.
+/// A page that is on its way is given up when the view has gone on, with or without a disk cache, and
+/// comes when it is wanted again.
+#[test]
+fn what_nobody_wants_any_more_is_not_waited_for() {
+    let serving = Serving::new();
+    let folder = TempDir::new().unwrap();
+    let disk = DiskCache { folder: folder.path().to_owned(), most_bytes: 1 << 20 };
+    for disk in [None, Some(disk)] {
+        let road = Road::to(serving.address());
+        let server = Server { url: format!("http://{}", road.address), disk };
+        let cache = Cache::open(Place::Server(server), OPTIONS).wait().unwrap();
+        let mut session = cache.session();
+        session.look_ahead = false;
+        let views = views(&cache);
+        session.settle(&views[0]);
+        road.slow_down(true);
+        session.update(&views[10]);
+        eventually("pages are on their way", || cache.stats().reserved_bytes > 0);
+        std::thread::sleep(Duration::from_millis(500));
+        let (before, begin) = (cache.stats(), Instant::now());
+        session.update(&views[0]);
+        eventually("they are given up", || cache.stats().reserved_bytes == 0);
+        let after = cache.stats();
+        assert!(begin.elapsed() < Duration::from_secs(3), "after {:?}", begin.elapsed());
+        assert_eq!((after.loads, after.errors), (before.loads, before.errors));
+        assert!(after.cancelled > before.cancelled);
+        road.slow_down(false);
+        assert!(is_whole(&session.settle(&views[10])));
+    }
+}
+
 #[test]
 fn damage_on_the_disk_is_asked_for_again() {
     let serving = Serving::new();

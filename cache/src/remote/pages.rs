@@ -10,6 +10,7 @@ use areoid_formats::archive::{Archive, ArchiveError, PageEntry, Payload};
 use areoid_formats::page::Page;
 use areoid_formats::storage::ByteSource;
 
+use super::range::is_given_up;
 use super::source::HttpSource;
 use crate::pages::PageSource;
 
@@ -73,6 +74,22 @@ impl RemotePages {
         read()
     }
 
+    /// The stored bytes of a page, read as long as `is_wanted`.
+    fn payload_by(
+        &self,
+        entry: &PageEntry,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Result<Vec<u8>, ArchiveError> {
+        let read = |buffer: &mut [u8], offset| self.source.read_while(buffer, offset, is_wanted);
+        let payload = || self.archive.payload_by(entry, read);
+        self.proven(payload, |error| match (error, entry.payload) {
+            (ArchiveError::PageChecksum { .. }, Payload::Record { offset, length, .. }) => {
+                Some((offset.saturating_add(RECORD_HEAD_LEN as u64), u64::from(length)))
+            }
+            _ => None,
+        })
+    }
+
     /// Refuses an entry that would take memory like no page of its size.
     fn check(&self, entry: PageEntry) -> Result<PageEntry, ArchiveError> {
         /// The most that a texel and its coverage may take, and all that stands before them.
@@ -106,13 +123,18 @@ impl PageSource for RemotePages {
     }
 
     fn payload(&self, entry: &PageEntry) -> Result<Vec<u8>, ArchiveError> {
-        let payload = || self.archive.payload(entry);
-        self.proven(payload, |error| match (error, entry.payload) {
-            (ArchiveError::PageChecksum { .. }, Payload::Record { offset, length, .. }) => {
-                Some((offset.saturating_add(RECORD_HEAD_LEN as u64), u64::from(length)))
-            }
-            _ => None,
-        })
+        self.payload_by(entry, &|| true)
+    }
+
+    fn payload_while(
+        &self,
+        entry: &PageEntry,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Result<Option<Vec<u8>>, ArchiveError> {
+        match self.payload_by(entry, is_wanted) {
+            Err(ArchiveError::Read { source, .. }) if is_given_up(&source) => Ok(None),
+            payload => payload.map(Some),
+        }
     }
 
     fn decode(&self, entry: &PageEntry, payload: &[u8]) -> Result<Page, ArchiveError> {

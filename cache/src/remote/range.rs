@@ -13,6 +13,9 @@ const TRIES: u32 = 4;
 const FIRST_WAIT: Duration = Duration::from_millis(100);
 /// No try begins so late.
 const PATIENCE: Duration = ANSWER;
+/// How often it is asked whether an answer is still wanted, and after how many bytes at the latest.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+const PIECE: usize = 64 << 10;
 /// How long an archive that the server did not have is not asked for.
 const MISSING: Duration = Duration::from_secs(30);
 
@@ -40,6 +43,18 @@ enum Trouble {
     Refused(io::Error),
     /// The server has no such archive.
     Missing(io::Error),
+    /// Nobody waits for it any more.
+    Unwanted,
+}
+
+/// A read that was given up because nobody waits for it.
+#[derive(Debug, thiserror::Error)]
+#[error("it was given up")]
+struct GivenUp;
+
+/// Whether a read was given up.
+pub(super) fn is_given_up(error: &io::Error) -> bool {
+    error.get_ref().is_some_and(|error| error.is::<GivenUp>())
 }
 
 impl Ranges {
@@ -53,14 +68,21 @@ impl Ranges {
         &self.url
     }
 
-    /// Fills `buffer`, which is not empty, from `start`.
+    /// Fills `buffer`, which is not empty, from `start`; as long as `is_wanted`, which is asked while it
+    /// waits.
     ///
     /// # Errors
     ///
+    /// One that [`is_given_up`], or
     /// [`io::ErrorKind::NotFound`] if the server has the archive no more,
     /// [`io::ErrorKind::NotConnected`] if it could not be reached a moment ago; or what went wrong at
     /// the last try.
-    pub(super) fn read(&self, buffer: &mut [u8], start: u64) -> io::Result<()> {
+    pub(super) fn read(
+        &self,
+        buffer: &mut [u8],
+        start: u64,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> io::Result<()> {
         let missing = self.missing.lock().unwrap_or_else(PoisonError::into_inner).clone();
         if let Some((until, reason)) = missing
             && Instant::now() < until
@@ -78,7 +100,7 @@ impl Ranges {
             |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", self.url));
         for attempt in 1.. {
             let is_last = attempt >= tries || begin.elapsed() >= PATIENCE;
-            match self.attempt(buffer, start) {
+            match self.attempt(buffer, start, is_wanted) {
                 Ok(()) => return Ok(()),
                 Err(Trouble::Nobody(error)) if is_last => {
                     let error = in_words(error);
@@ -87,6 +109,7 @@ impl Ranges {
                 }
                 Err(Trouble::Passing(error)) if is_last => return Err(in_words(error)),
                 Err(Trouble::Refused(error)) => return Err(in_words(error)),
+                Err(Trouble::Unwanted) => return Err(io::Error::other(GivenUp)),
                 Err(Trouble::Missing(error)) => {
                     let error = in_words(error);
                     let believed = Some((Instant::now() + MISSING, error.to_string()));
@@ -95,12 +118,20 @@ impl Ranges {
                 }
                 Err(Trouble::Nobody(_) | Trouble::Passing(_)) => thread::sleep(wait),
             }
+            if !is_wanted() {
+                return Err(io::Error::other(GivenUp));
+            }
             wait *= 2;
         }
         unreachable!("the last try returns")
     }
 
-    fn attempt(&self, buffer: &mut [u8], start: u64) -> Result<(), Trouble> {
+    fn attempt(
+        &self,
+        buffer: &mut [u8],
+        start: u64,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> Result<(), Trouble> {
         let sort = |error: ureq::Error| match is_nobody(&error) {
             true => Trouble::Nobody(error.into_io()),
             false => Trouble::Passing(error.into_io()),
@@ -130,7 +161,20 @@ impl Ranges {
             error @ ureq::Error::Timeout(_) => sort(error),
             error => Trouble::Passing(error.into_io()),
         };
-        body.read_exact(buffer).map_err(passing)?;
+        let (mut done, mut looked) = (0, Instant::now());
+        while done < buffer.len() {
+            if looked.elapsed() >= LOOK_EVERY {
+                looked = Instant::now();
+                if !is_wanted() {
+                    return Err(Trouble::Unwanted);
+                }
+            }
+            let end = buffer.len().min(done + PIECE);
+            match body.read(&mut buffer[done..end]).map_err(passing)? {
+                0 => return Err(Trouble::Passing(io::ErrorKind::UnexpectedEof.into())),
+                count => done += count,
+            }
+        }
         // A connection is kept when the end of its answer was seen.
         match body.read(&mut [0]).map_err(passing)? {
             0 => Ok(()),

@@ -104,6 +104,29 @@ impl HttpSource {
         (start, (start + BLOCK_BYTES).min(self.len))
     }
 
+    /// [`ByteSource::read_exact_at`], as long as `is_wanted`, which is asked while it waits: else the error
+    /// [`is_given_up`](super::range::is_given_up).
+    pub(super) fn read_while(
+        &self,
+        buffer: &mut [u8],
+        offset: u64,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> io::Result<()> {
+        let end = offset.checked_add(buffer.len() as u64);
+        if end.is_none_or(|end| end > self.len) {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        if let Some(blocks) = &self.blocks {
+            return self.read_blocks(blocks, buffer, offset, is_wanted);
+        }
+        let mut at = offset;
+        for piece in buffer.chunks_mut(length(0, RANGE_BYTES)?) {
+            self.ranges.read(piece, at, is_wanted)?;
+            at += piece.len() as u64;
+        }
+        Ok(())
+    }
+
     /// Claims the block and those behind it up to the one at `last` that are missing, too; `None` after
     /// somebody else has asked for it.
     fn claim(&self, blocks: &Blocks, number: u64, last: u64) -> Option<Claim<'_>> {
@@ -123,7 +146,13 @@ impl HttpSource {
     }
 
     /// Fills `buffer` from `offset`, through the blocks.
-    fn read_blocks(&self, blocks: &Blocks, buffer: &mut [u8], offset: u64) -> io::Result<()> {
+    fn read_blocks(
+        &self,
+        blocks: &Blocks,
+        buffer: &mut [u8],
+        offset: u64,
+        is_wanted: &dyn Fn() -> bool,
+    ) -> io::Result<()> {
         let end = offset + buffer.len() as u64;
         let mut at = offset;
         while at < end {
@@ -142,7 +171,7 @@ impl HttpSource {
             }
             let (_, run_end) = self.extent(claim.numbers.end - 1);
             let mut run = vec![0; self::length(start, run_end)?];
-            self.ranges.read(&mut run, start)?;
+            self.ranges.read(&mut run, start, is_wanted)?;
             let block_bytes = self::length(0, BLOCK_BYTES)?;
             for (number, block) in claim.numbers.clone().zip(run.chunks(block_bytes)) {
                 blocks.write(&self.key, number, block);
@@ -174,18 +203,6 @@ impl ByteSource for HttpSource {
     }
 
     fn read_exact_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<()> {
-        let end = offset.checked_add(buffer.len() as u64);
-        if end.is_none_or(|end| end > self.len) {
-            return Err(io::ErrorKind::UnexpectedEof.into());
-        }
-        if let Some(blocks) = &self.blocks {
-            return self.read_blocks(blocks, buffer, offset);
-        }
-        let mut at = offset;
-        for piece in buffer.chunks_mut(length(0, RANGE_BYTES)?) {
-            self.ranges.read(piece, at)?;
-            at += piece.len() as u64;
-        }
-        Ok(())
+        self.read_while(buffer, offset, &|| true)
     }
 }

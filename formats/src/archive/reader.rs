@@ -1,6 +1,7 @@
 //! Reading an archive: opened by its trailer, each structure proven when it is first touched.
 
 use std::fs::File;
+use std::io;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -223,6 +224,19 @@ impl Archive {
     /// [`ArchiveError::PageChecksum`] if the page is damaged, [`ArchiveError::Truncated`] if it
     /// should lie past the end, [`ArchiveError::Read`] if the medium fails.
     pub fn payload(&self, entry: &PageEntry) -> Result<Vec<u8>, ArchiveError> {
+        self.payload_by(entry, |buffer, offset| self.source.read_exact_at(buffer, offset))
+    }
+
+    /// [`Self::payload`] by somebody else's way to the same bytes, who fills a buffer from an offset.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`Self::payload`].
+    pub fn payload_by(
+        &self,
+        entry: &PageEntry,
+        read: impl FnOnce(&mut [u8], u64) -> io::Result<()>,
+    ) -> Result<Vec<u8>, ArchiveError> {
         let Payload::Record { offset, length, checksum } = entry.payload else {
             return Ok(Vec::new());
         };
@@ -233,9 +247,7 @@ impl Archive {
             return Err(ArchiveError::Truncated { what, start, end, len: self.source.len() });
         }
         let mut payload = vec![0; length as usize];
-        self.source
-            .read_exact_at(&mut payload, start)
-            .map_err(|source| ArchiveError::Read { what, source })?;
+        read(&mut payload, start).map_err(|source| ArchiveError::Read { what, source })?;
         let found = payload_checksum(entry.page, &payload);
         if found != checksum {
             let page = entry.page;
