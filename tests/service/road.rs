@@ -15,7 +15,7 @@ pub(crate) struct Road {
 
 impl Road {
     /// On a slow road, so many bytes come in so long.
-    const STEP: (usize, Duration) = (16, Duration::from_millis(20));
+    const STEP: (usize, Duration) = (8, Duration::from_millis(20));
 
     pub(crate) fn to(server: SocketAddr) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();

@@ -68,15 +68,14 @@ impl Ranges {
         &self.url
     }
 
-    /// Fills `buffer`, which is not empty, from `start`; as long as `is_wanted`, which is asked while it
-    /// waits.
+    /// Fills `buffer`, which is not empty, from `start`, for as long as it `is_wanted`: that is asked between
+    /// tries, and as bytes come.
     ///
     /// # Errors
     ///
-    /// One that [`is_given_up`], or
     /// [`io::ErrorKind::NotFound`] if the server has the archive no more,
-    /// [`io::ErrorKind::NotConnected`] if it could not be reached a moment ago; or what went wrong at
-    /// the last try.
+    /// [`io::ErrorKind::NotConnected`] if it could not be reached a moment ago, one that [`is_given_up`] if
+    /// it is not wanted any more; or what went wrong at the last try.
     pub(super) fn read(
         &self,
         buffer: &mut [u8],

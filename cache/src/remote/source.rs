@@ -104,8 +104,8 @@ impl HttpSource {
         (start, (start + BLOCK_BYTES).min(self.len))
     }
 
-    /// [`ByteSource::read_exact_at`], as long as `is_wanted`, which is asked while it waits: else the error
-    /// [`is_given_up`](super::range::is_given_up).
+    /// [`ByteSource::read_exact_at`], for as long as it `is_wanted`: its error
+    /// [`is_given_up`](super::range::is_given_up) else.
     pub(super) fn read_while(
         &self,
         buffer: &mut [u8],
