@@ -175,33 +175,45 @@ fn every_style_is_composed_as_the_twin_does() {
     }
 }
 
+/// Bare ground, and colors.
 #[test]
 fn composed_normals_are_lit() {
-    let mut planet = Planet::default();
-    planet.add(globe("heights", Kind::Height, 128, 0), |_| ([0.0; 3], 255));
-    planet.add(globe("tilts", Kind::Normal, 1024, 0), |place| {
-        let codes = normal::codes(normal::exact_codes(tilted(place), surface_normal(place)));
-        (codes.map(f32::from), 255)
-    });
-    let selection = planet.selection(|_| true);
     let light = Light { toward_sun: DVec3::new(1.0, 0.3, 0.6), ambient: 0.1 };
-    let (image, places) = draw(&selection, &light, &Options::default());
-    let surface = Surface::new(&selection);
-    let off = worst(&image, &places, |place, footprint_m| {
-        let found = surface.compose(Kind::Normal, place, footprint_m).unwrap();
-        let normal = normal::normal_from_codes(found.value, surface_normal(place));
-        let lit = 0.1 + 0.9 * normal.dot(light.toward_sun.normalize()).max(0.0);
-        BARE_COLOR.map(|code| {
-            let linear = ((code / 255.0 + 0.055) / 1.055).powf(2.4) * lit;
-            let encoded = if linear <= 0.003_130_8 {
-                12.92 * linear
-            } else {
-                1.055 * linear.powf(1.0 / 2.4) - 0.055
-            };
-            255.0 * encoded
-        })
-    });
-    assert!(off <= 2.0, "{off}");
+    let options = Options { anisotropy: 0, ..Options::default() };
+    for colored in [false, true] {
+        let mut planet = Planet::default();
+        planet.add(globe("heights", Kind::Height, 128, 0), |_| ([0.0; 3], 255));
+        planet.add(globe("tilts", Kind::Normal, 1024, 0), |place| {
+            let codes = normal::codes(normal::exact_codes(tilted(place), surface_normal(place)));
+            (codes.map(f32::from), 255)
+        });
+        if colored {
+            planet.add(globe("base", Kind::Color, 512, 0), |place| {
+                ([11.0, 23.0, 31.0].map(|k| code(waves(place, k))), 255)
+            });
+        }
+        let selection = planet.selection(|_| true);
+        let (image, places) = draw(&selection, &light, &options);
+        let surface = Surface::new(&selection);
+        let off = worst(&image, &places, |place, footprint_m| {
+            let found = surface.compose(Kind::Normal, place, footprint_m).unwrap();
+            let normal = normal::normal_from_codes(found.value, surface_normal(place));
+            let lit = 0.1 + 0.9 * normal.dot(light.toward_sun.normalize()).max(0.0);
+            let color = if colored { surface.color(place, footprint_m) } else { BARE_COLOR };
+            color.map(|code| shaded(code, lit))
+        });
+        assert!(off <= 2.0, "{off}");
+    }
+}
+
+/// The code of sRGB (IEC 61966-2-1) for so many times the light of another.
+fn shaded(code: f64, light: f64) -> f64 {
+    let code = code / 255.0;
+    let linear = if code <= 0.040_45 { code / 12.92 } else { ((code + 0.055) / 1.055).powf(2.4) };
+    let linear = linear * light;
+    let encoded =
+        if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
+    255.0 * encoded
 }
 
 /// Colors whose channels are equal but for the blue one, which is so many codes more.
