@@ -2,6 +2,7 @@
 
 mod asking;
 mod changing;
+mod crowds;
 mod culling;
 mod failing;
 mod faulty;

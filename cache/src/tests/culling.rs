@@ -17,7 +17,7 @@ use crate::scene::Newcomer;
 use crate::scene::Scene;
 use crate::search::{Hidden, Wish};
 
-fn scene(datasets: &[&Gated]) -> Scene {
+pub(super) fn scene(datasets: &[&Gated]) -> Scene {
     let newcomers = datasets.iter().map(|dataset| {
         // Brings the whole index into memory.
         dataset.archive.entries().unwrap();
@@ -26,7 +26,7 @@ fn scene(datasets: &[&Gated]) -> Scene {
     Scene::empty(mars()).changed(|_| false, newcomers)
 }
 
-fn search(scene: &Scene, memo: &mut Memo, view: &View, allowance: usize) -> Found {
+pub(super) fn search(scene: &Scene, memo: &mut Memo, view: &View, allowance: usize) -> Found {
     search_exaggerated(scene, memo, (view, 1.0), allowance)
 }
 
@@ -258,7 +258,7 @@ proptest! {
 }
 
 /// A map of 5 degrees on a side.
-fn region(west: f64, south: f64) -> Grid {
+pub(super) fn region(west: f64, south: f64) -> Grid {
     let (origin, pixel_size) = ([west, south + 5.0], [5.0 / 128.0; 2]);
     let outline = Outline { origin, pixel_size, width: 128, height: 128 };
     let crs = Crs::new(Projection::Geographic, mars().ellipsoid);

@@ -1,0 +1,61 @@
+//! Views of many datasets, of which not all can be drawn.
+
+use std::collections::BTreeSet;
+
+use super::culling::{region, scene, search};
+use super::*;
+use crate::found::Found;
+use crate::memo::Memo;
+use crate::scene::Scene;
+
+/// The wanted pages, by their datasets' names.
+fn wanted(scene: &Scene, found: &Found) -> BTreeSet<(String, PageAddress)> {
+    let seen = found.wanted.iter().map(|&place| found.seen[place]);
+    seen.map(|seen| (scene.datasets[seen.dataset].info.name.clone(), seen.node.entry.page))
+        .collect()
+}
+
+/// What is wanted depends on sizes and errors alone, not on the order in which datasets came, which
+/// makes the tree over them; and with more room nothing goes.
+#[test]
+fn the_largest_datasets_come_first_in_whatever_order_they_came() {
+    let places = (0..36 * 9).map(|place| (place % 36, place / 36));
+    let regions: Vec<Gated> = places
+        .map(|(col, row)| region(10.0 * f64::from(col) - 180.0, 10.0 * f64::from(row) - 47.0))
+        .enumerate()
+        .map(|(place, grid)| Gated::new(&place.to_string(), grid, Kind::Height))
+        .collect();
+    let mut regions: Vec<&Gated> =
+        regions.iter().filter(|region| !region.entries.is_empty()).collect();
+    let mut scenes = vec![scene(&regions)];
+    regions.reverse();
+    scenes.push(scene(&regions));
+    regions.sort_by_key(|region| {
+        let place = region.info.name.parse().unwrap();
+        (1e9 * chance(PageAddress::new(Level(0), place, 0), 7)) as u64
+    });
+    scenes.push(scene(&regions));
+
+    let view = View { tolerance_px: 0.005, ..view(12.0, 6.0, 3e6, 20.0) };
+    let found = |pages: usize| {
+        let search = |scene| search(scene, &mut Memo::default(), &view, pages * PAGE);
+        let found: Vec<Found> = scenes.iter().map(search).collect();
+        let first = wanted(&scenes[0], &found[0]);
+        for (scene, other) in scenes.iter().zip(&found) {
+            assert_eq!(wanted(scene, other), first, "{pages}");
+            assert_eq!(other.tolerance_px, found[0].tolerance_px, "{pages}");
+        }
+        (first, found[0].tolerance_px)
+    };
+    let (mut before, mut tolerance_px) = found(0);
+    for pages in 1..=50 {
+        let now = found(pages);
+        assert!(now.0.len() == pages && now.0.is_superset(&before), "{pages}");
+        assert!(now.1 < tolerance_px, "{pages}");
+        (before, tolerance_px) = now;
+    }
+    // None of them is refined yet: what is not drawn is off by more.
+    assert!(tolerance_px > 20.0, "{tolerance_px}");
+    let finer = [80, 120, 1000].map(|pages| found(pages).0.len());
+    assert!(finer.is_sorted() && finer[0] > 50 && finer[2] > finer[0], "{finer:?}");
+}
