@@ -14,6 +14,8 @@ use areoid_formats::page::Page;
 ///   of its children.
 /// * [`Self::find_resident`] never waits. All others may, for a disk or a network, but not forever.
 /// * All methods may be called from any thread, in any number.
+/// * Whoever asks [`Self::payload_while`]'s `is_wanted` holds no lock that [`Self::find_resident`] takes: the
+///   answer may be waited for.
 pub trait PageSource: fmt::Debug + Send + Sync {
     /// What is known of a page without waiting: `None` if [`Self::find`] has to be asked first, and
     /// `Some(None)` if the page has no data or is not the grid's.
@@ -33,8 +35,8 @@ pub trait PageSource: fmt::Debug + Send + Sync {
     /// [`ArchiveError`] if they cannot be read, or are not what was stored.
     fn payload(&self, entry: &PageEntry) -> Result<Vec<u8>, ArchiveError>;
 
-    /// [`Self::payload`], or `None` if it was given up because `is_wanted` was false. Who waits long for a
-    /// medium asks that again and again; others need not ask.
+    /// [`Self::payload`], or `None` if it was given up because `is_wanted` was false, and for no other reason.
+    /// Who waits long for a medium asks that again and again; others need not ask.
     ///
     /// # Errors
     ///

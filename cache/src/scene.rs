@@ -266,10 +266,10 @@ impl Dataset {
         dataset
     }
 
-    /// Has the processor fetch what a search will ask of a root, and waits for nothing.
+    /// Asks memory for what a search looks at in a root: [`Bvh::fetch`].
     pub(crate) fn fetch(&self) {
         if let Some(Node { entry, volume, texel_m }) = self.roots.first() {
-            // They lie this far apart.
+            // One in each line of a processor's cache.
             let bounds = volume.bounds();
             black_box((entry.bound, bounds.center.x, bounds.half.z, *texel_m, self.texels));
         }

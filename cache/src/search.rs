@@ -170,7 +170,7 @@ impl Search<'_> {
     const LEAST_SHARP: f64 = 8.0;
 
     /// Puts branches of the tree over the datasets among what is to come, by the largest that one of
-    /// their datasets can be on the screen; opens those that are one.
+    /// their datasets can be on the screen; opens those that are a dataset.
     fn climb(&self, branches: &[usize], memo: &mut Memo, found: &mut Found) {
         let Scene { tree, slots, datasets, .. } = self.scene;
         branches.iter().for_each(|&branch| tree.fetch(branch));

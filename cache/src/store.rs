@@ -181,7 +181,7 @@ impl Store {
         Some(Arc::clone(&slot.page))
     }
 
-    /// Has the processor fetch where a page is, for [`Self::touch`], and waits for nothing.
+    /// Asks memory for where a page is, for [`Self::touch`]: `Bvh::fetch`.
     pub(crate) fn fetch(&self, name: PageName) {
         if let Some(Slot { page, ahead, .. }) = self.slots.peek(&name) {
             black_box((*ahead, page.dataset, page.entry.page));

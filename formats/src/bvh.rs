@@ -195,8 +195,8 @@ impl Bvh {
         Branch { bounds, largest_m, parts }
     }
 
-    /// Has the processor fetch a branch for [`Self::branch`], and waits for nothing: of many together, memory
-    /// brings all in little more than the time of one.
+    /// Asks memory for a branch, for [`Self::branch`]. Asked for together, a few come in little more than the
+    /// time of one.
     ///
     /// # Panics
     ///

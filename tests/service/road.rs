@@ -3,14 +3,21 @@
 use std::io::{self, Read as _, Write as _};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed};
 use std::thread;
 use std::time::Duration;
 
 /// Connections to `address` go on to the server. It lasts as long as the process.
 pub(crate) struct Road {
     pub(crate) address: SocketAddr,
-    is_slow: Arc<AtomicBool>,
+    state: Arc<State>,
+}
+
+#[derive(Default)]
+struct State {
+    is_slow: AtomicBool,
+    /// Bytes that came while it was.
+    slow_bytes: AtomicUsize,
 }
 
 impl Road {
@@ -19,28 +26,32 @@ impl Road {
 
     pub(crate) fn to(server: SocketAddr) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let (address, is_slow) = (listener.local_addr().unwrap(), Arc::<AtomicBool>::default());
-        let slow = Arc::clone(&is_slow);
+        let (address, state) = (listener.local_addr().unwrap(), Arc::<State>::default());
+        let shared = Arc::clone(&state);
         thread::spawn(move || {
             for client in listener.incoming().map_while(Result::ok) {
                 let Ok(server) = TcpStream::connect(server) else { continue };
                 let (to_server, to_client) = (server.try_clone(), client.try_clone());
                 let (Ok(to_server), Ok(to_client)) = (to_server, to_client) else { continue };
-                thread::spawn(|| carry(client, to_server, || false));
-                let slow = Arc::clone(&slow);
-                thread::spawn(move || carry(server, to_client, || slow.load(Relaxed)));
+                thread::spawn(|| carry(client, to_server, &State::default()));
+                let state = Arc::clone(&shared);
+                thread::spawn(move || carry(server, to_client, &state));
             }
         });
-        Self { address, is_slow }
+        Self { address, state }
     }
 
     pub(crate) fn slow_down(&self, is_slow: bool) {
-        self.is_slow.store(is_slow, Relaxed);
+        self.state.is_slow.store(is_slow, Relaxed);
+    }
+
+    pub(crate) fn slow_bytes(&self) -> usize {
+        self.state.slow_bytes.load(Relaxed)
     }
 }
 
 /// Until one of both ends.
-fn carry(mut from: TcpStream, mut to: TcpStream, is_slow: impl Fn() -> bool) {
+fn carry(mut from: TcpStream, mut to: TcpStream, state: &State) {
     let mut carry = || -> io::Result<()> {
         let mut buffer = [0; 4096];
         loop {
@@ -51,7 +62,8 @@ fn carry(mut from: TcpStream, mut to: TcpStream, is_slow: impl Fn() -> bool) {
             let (step, pause) = Road::STEP;
             for piece in buffer[..count].chunks(step) {
                 to.write_all(piece)?;
-                if is_slow() {
+                if state.is_slow.load(Relaxed) {
+                    state.slow_bytes.fetch_add(piece.len(), Relaxed);
                     thread::sleep(pause);
                 }
             }

@@ -13,9 +13,8 @@ const TRIES: u32 = 4;
 const FIRST_WAIT: Duration = Duration::from_millis(100);
 /// No try begins so late.
 const PATIENCE: Duration = ANSWER;
-/// How often it is asked whether an answer is still wanted, and after how many bytes at the latest.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
-const PIECE: usize = 64 << 10;
+/// How often it is asked whether an answer is still wanted.
+pub(super) const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// How long an archive that the server did not have is not asked for.
 const MISSING: Duration = Duration::from_secs(30);
 
@@ -52,6 +51,10 @@ enum Trouble {
 #[error("it was given up")]
 struct GivenUp;
 
+pub(super) fn given_up() -> io::Error {
+    io::Error::other(GivenUp)
+}
+
 /// Whether a read was given up.
 pub(super) fn is_given_up(error: &io::Error) -> bool {
     error.get_ref().is_some_and(|error| error.is::<GivenUp>())
@@ -68,8 +71,8 @@ impl Ranges {
         &self.url
     }
 
-    /// Fills `buffer`, which is not empty, from `start`, for as long as it `is_wanted`: that is asked between
-    /// tries, and as bytes come.
+    /// Fills `buffer`, which is not empty, from `start`, for as long as it `is_wanted`: that is asked before
+    /// each try, and as bytes come.
     ///
     /// # Errors
     ///
@@ -98,17 +101,21 @@ impl Ranges {
         let in_words =
             |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", self.url));
         for attempt in 1.. {
+            if !is_wanted() {
+                return Err(given_up());
+            }
             let is_last = attempt >= tries || begin.elapsed() >= PATIENCE;
             match self.attempt(buffer, start, is_wanted) {
                 Ok(()) => return Ok(()),
-                Err(Trouble::Nobody(error)) if is_last => {
+                // Whoever tries no more tells the others.
+                Err(Trouble::Nobody(error)) if is_last || !is_wanted() => {
                     let error = in_words(error);
                     link.lose(&error.to_string());
                     return Err(error);
                 }
                 Err(Trouble::Passing(error)) if is_last => return Err(in_words(error)),
                 Err(Trouble::Refused(error)) => return Err(in_words(error)),
-                Err(Trouble::Unwanted) => return Err(io::Error::other(GivenUp)),
+                Err(Trouble::Unwanted) => return Err(given_up()),
                 Err(Trouble::Missing(error)) => {
                     let error = in_words(error);
                     let believed = Some((Instant::now() + MISSING, error.to_string()));
@@ -116,9 +123,6 @@ impl Ranges {
                     return Err(error);
                 }
                 Err(Trouble::Nobody(_) | Trouble::Passing(_)) => thread::sleep(wait),
-            }
-            if !is_wanted() {
-                return Err(io::Error::other(GivenUp));
             }
             wait *= 2;
         }
@@ -168,8 +172,7 @@ impl Ranges {
                     return Err(Trouble::Unwanted);
                 }
             }
-            let end = buffer.len().min(done + PIECE);
-            match body.read(&mut buffer[done..end]).map_err(passing)? {
+            match body.read(&mut buffer[done..]).map_err(passing)? {
                 0 => return Err(Trouble::Passing(io::ErrorKind::UnexpectedEof.into())),
                 count => done += count,
             }

@@ -4,16 +4,17 @@
 //!   read ──▶ blocks on the disk ──▶ one range of those that are missing, by one thread ──▶ kept
 //! ```
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::io;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use areoid_formats::storage::ByteSource;
 
 use super::blocks::{BLOCK_BYTES, Blocks, key};
 use super::client::Client;
-use super::range::Ranges;
+use super::range::{LOOK_EVERY, Ranges, given_up};
 
 /// Bytes asked for at a time.
 const RANGE_BYTES: u64 = 1 << 20;
@@ -30,8 +31,8 @@ pub struct HttpSource {
     /// What its blocks are called.
     key: String,
     blocks: Option<Arc<Blocks>>,
-    /// Numbers of blocks that somebody is asking for.
-    asked: Mutex<BTreeSet<u64>>,
+    /// By number, the blocks that somebody is asking for, and when others last waited for them.
+    asked: Mutex<BTreeMap<u64, Option<Instant>>>,
     answered: Condvar,
 }
 
@@ -51,10 +52,21 @@ struct Claim<'a> {
     numbers: std::ops::Range<u64>,
 }
 
+impl Claim<'_> {
+    /// Whoever waits says so more often.
+    const WAITED: Duration = LOOK_EVERY.saturating_mul(5);
+
+    fn is_waited_for(&self) -> bool {
+        let asked = self.source.asked.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut waited = asked.range(self.numbers.clone()).filter_map(|(_, waited)| *waited);
+        waited.any(|waited| waited.elapsed() < Self::WAITED)
+    }
+}
+
 impl Drop for Claim<'_> {
     fn drop(&mut self) {
         let mut asked = self.source.asked.lock().unwrap_or_else(PoisonError::into_inner);
-        asked.retain(|number| !self.numbers.contains(number));
+        asked.retain(|number, _| !self.numbers.contains(number));
         drop(asked);
         self.source.answered.notify_all();
     }
@@ -128,21 +140,32 @@ impl HttpSource {
     }
 
     /// Claims the block and those behind it up to the one at `last` that are missing, too; `None` after
-    /// somebody else has asked for it.
-    fn claim(&self, blocks: &Blocks, number: u64, last: u64) -> Option<Claim<'_>> {
+    /// somebody else has asked for it. That is waited for as long as it `is_wanted`.
+    fn claim(
+        &self,
+        blocks: &Blocks,
+        (number, last): (u64, u64),
+        is_wanted: &dyn Fn() -> bool,
+    ) -> io::Result<Option<Claim<'_>>> {
         let mut asked = self.asked.lock().unwrap_or_else(PoisonError::into_inner);
-        if asked.contains(&number) {
-            while asked.contains(&number) {
-                asked = self.answered.wait(asked).unwrap_or_else(PoisonError::into_inner);
+        if asked.contains_key(&number) {
+            while let Some(waited) = asked.get_mut(&number) {
+                *waited = Some(Instant::now());
+                let again = self.answered.wait_timeout(asked, LOOK_EVERY);
+                drop(again.unwrap_or_else(PoisonError::into_inner));
+                if !is_wanted() {
+                    return Err(given_up());
+                }
+                asked = self.asked.lock().unwrap_or_else(PoisonError::into_inner);
             }
-            return None;
+            return Ok(None);
         }
         let most = last.min(number + RANGE_BYTES / BLOCK_BYTES - 1);
-        let is_free = |next: &u64| !asked.contains(next) && !blocks.has(&self.key, *next);
+        let is_free = |next: &u64| !asked.contains_key(next) && !blocks.has(&self.key, *next);
         let behind = (number + 1..=most).take_while(is_free).last();
         let numbers = number..behind.unwrap_or(number) + 1;
-        asked.extend(numbers.clone());
-        Some(Claim { source: self, numbers })
+        asked.extend(numbers.clone().map(|number| (number, None)));
+        Ok(Some(Claim { source: self, numbers }))
     }
 
     /// Fills `buffer` from `offset`, through the blocks.
@@ -163,7 +186,8 @@ impl HttpSource {
                 at = copy(buffer, offset, &block, start, at);
                 continue;
             }
-            let Some(claim) = self.claim(blocks, number, (end - 1) / BLOCK_BYTES) else { continue };
+            let last = (end - 1) / BLOCK_BYTES;
+            let Some(claim) = self.claim(blocks, (number, last), is_wanted)? else { continue };
             // It may have come between the look and the claim.
             if let Some(block) = blocks.read(&self.key, number, length) {
                 at = copy(buffer, offset, &block, start, at);
@@ -171,7 +195,8 @@ impl HttpSource {
             }
             let (_, run_end) = self.extent(claim.numbers.end - 1);
             let mut run = vec![0; self::length(start, run_end)?];
-            self.ranges.read(&mut run, start, is_wanted)?;
+            let is_wanted = || is_wanted() || claim.is_waited_for();
+            self.ranges.read(&mut run, start, &is_wanted)?;
             let block_bytes = self::length(0, BLOCK_BYTES)?;
             for (number, block) in claim.numbers.clone().zip(run.chunks(block_bytes)) {
                 blocks.write(&self.key, number, block);

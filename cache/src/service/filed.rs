@@ -7,9 +7,9 @@
 //! the file. Where that is not what it was when they were read, where a disk would have to be waited for,
 //! and where a system or its file system cannot tell, they are sent from memory.
 //!
-//! So they are to the only connection of a thread. A copy takes the processor no less time than the many small
-//! pieces of a file do once, but what is copied reaches a client sooner; a thread that has several to serve
-//! gets more done without, as copies go through the memory that is near to its processor.
+//! So they are to a thread's only connection. A copy costs as much as the many small pieces of a file, but its
+//! bytes reach the client sooner. With several connections, copies push one another out of the processor's
+//! caches.
 //!
 //! The file is looked at before each piece that is sent of it. What changes in it until the client's system
 //! has the piece, and what a medium that is read anew makes of it without a change of its times, is the

@@ -60,7 +60,7 @@ impl Chooser for Random {
 /// What a session does: pages that it wants, and pages that it expects to want.
 type Wish = (&'static [usize], &'static [usize]);
 
-/// A load under way, as `loader.rs` runs it: it looks twice whether it is wanted, then ends.
+/// A load under way, as `loader.rs` runs it: it looks whether it is wanted before it reads and after, then ends.
 struct Running {
     request: Request,
     looked: usize,

@@ -227,7 +227,7 @@ impl Archive {
         self.payload_by(entry, |buffer, offset| self.source.read_exact_at(buffer, offset))
     }
 
-    /// [`Self::payload`] by somebody else's way to the same bytes, who fills a buffer from an offset.
+    /// [`Self::payload`] through `read`, which fills a buffer with the archive's bytes from an offset on.
     ///
     /// # Errors
     ///
