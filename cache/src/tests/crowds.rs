@@ -30,10 +30,10 @@ fn the_largest_datasets_come_first_in_whatever_order_they_came() {
     let mut scenes = vec![scene(&regions)];
     regions.reverse();
     scenes.push(scene(&regions));
-    regions.sort_by_key(|region| {
-        let place = region.info.name.parse().unwrap();
-        (1e9 * chance(PageAddress::new(Level(0), place, 0), 7)) as u64
-    });
+    let lot = |region: &Gated| {
+        chance(PageAddress::new(Level(0), region.info.name.parse().unwrap(), 0), 7)
+    };
+    regions.sort_by(|one, other| lot(one).total_cmp(&lot(other)));
     scenes.push(scene(&regions));
 
     let view = View { tolerance_px: 0.005, ..view(12.0, 6.0, 3e6, 20.0) };
