@@ -3,16 +3,18 @@
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 
-use areoid_cache::Cache;
 use areoid_cache::remote::{Blocks, Client, RemoteCatalog, RemoteError};
 use areoid_cache::service::Service;
-use areoid_formats::archive::Archive;
+use areoid_cache::{Cache, PageSource as _};
+use areoid_formats::archive::{Archive, PageEntry, Payload};
 use areoid_formats::catalog::Catalog;
 use tempfile::TempDir;
 
 use super::rig::{Serving, eventually};
+use super::road::Road;
 
 fn client(serving: &Serving) -> Client {
     Client::new(&format!("http://{}", serving.address())).unwrap()
@@ -75,6 +77,56 @@ fn what_is_on_the_disk_is_read_without_the_server_and_proven() {
     let Serving { place: _place, service } = serving;
     service.stop();
     assert_same(&near, far);
+}
+
+/// Whoever asks for a block goes on for those who wait for it, though it wants nothing itself any more.
+#[test]
+fn a_block_that_somebody_waits_for_is_not_given_up() {
+    const BLOCK: u64 = 128 << 10;
+    let serving = Serving::new();
+    let (near, road) = (near(&serving), Road::to(serving.address()));
+    let block_of = |entry: &PageEntry| match entry.payload {
+        Payload::Record { offset, length, .. } => {
+            let last = offset + 4096 + u64::from(length);
+            (offset / BLOCK == last / BLOCK).then_some(offset / BLOCK)
+        }
+        Payload::Constant(_) => None,
+    };
+    let entries = near.entries().unwrap();
+    let mut both = entries.iter().filter(|entry| block_of(entry) == Some(2));
+    let [one, other] = [(); 2].map(|()| *both.next().unwrap());
+
+    let folder = TempDir::new().unwrap();
+    let blocks = Arc::new(Blocks::open(folder.path(), 64 << 20).unwrap());
+    let client = Client::new(&format!("http://{}", road.address)).unwrap();
+    let remote = RemoteCatalog::open(&client, Some(&blocks)).unwrap();
+    let far = &remote.datasets[0].pages;
+    let (is_wanted, is_waiting) = (AtomicBool::new(true), AtomicBool::new(false));
+    road.slow_down(true);
+    std::thread::scope(|scope| {
+        let asking = scope.spawn(|| far.payload_while(&one, &|| is_wanted.load(Relaxed)));
+        eventually("the answer has begun", || road.slow_bytes() > 500);
+        let waiting = scope.spawn(|| {
+            far.payload_while(&other, &|| {
+                is_waiting.store(true, Relaxed);
+                true
+            })
+        });
+        eventually("another waits", || is_waiting.load(Relaxed));
+        is_wanted.store(false, Relaxed);
+        let then = road.slow_bytes();
+        eventually("more of it comes", || road.slow_bytes() > then + 200);
+        road.slow_down(false);
+        let asked = asking.join().unwrap().unwrap();
+        assert_eq!(asked, Some(near.payload(&one).unwrap()));
+        let waited = waiting.join().unwrap().unwrap();
+        assert_eq!(waited, Some(near.payload(&other).unwrap()));
+    });
+    // With nobody who wants or waits, nothing is asked.
+    let asked = serving.metric("areoid_requests_total");
+    let third = entries.iter().find(|entry| block_of(entry) == Some(3)).unwrap();
+    assert_eq!(far.payload_while(third, &|| false).unwrap(), None);
+    assert_eq!(serving.metric("areoid_requests_total"), asked);
 }
 
 #[test]
