@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::json;
 
-use super::rig::{Place, TOKEN, connect, eventually, exchange, get, soak};
+use super::rig::{Place, connect, eventually, exchange, get, rest, soak};
 use super::server::Process;
 
 /// Asks for an archive more often than any socket buffers, and does not read.
@@ -100,21 +100,60 @@ fn without_descriptors_it_lives_and_goes_on() {
     });
 }
 
+/// One that takes a while.
+fn long_insertion(place: &Place, name: &str) -> String {
+    let globe = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo/mars/mola_height_8ppd.tif");
+    fs::copy(globe, place.path("rasters/globe.tif")).unwrap();
+    place.insertion(name, json!({ "rasters": [place.path("rasters/globe.tif")] }))
+}
+
+/// Where a thread may be, as the system tells it.
+#[cfg(target_os = "linux")]
+#[test]
+fn during_an_insertion_each_thread_that_answers_has_a_core_of_its_own() {
+    use nix::sched::{CpuSet, sched_getaffinity};
+    use nix::unistd::Pid;
+
+    let cores = sched_getaffinity(Pid::from_raw(0)).unwrap();
+    let cores = (0..CpuSet::count()).filter(|&core| cores.is_set(core).unwrap()).count();
+    let place = Place::new();
+    let bodies = ["one", "another", "third"].map(|name| long_insertion(&place, name));
+    let threads = ["--threads", &cores.to_string()];
+    let process = Process::start_on(&place, &place.catalog(), "", &threads);
+    let lists = || -> Vec<String> {
+        let threads = fs::read_dir(format!("/proc/{}/task", process.child.id())).unwrap();
+        let status =
+            threads.map(|thread| fs::read_to_string(thread.unwrap().path().join("status")));
+        // One may have ended meanwhile.
+        let status = status.flatten().filter(|status| status.starts_with("Name:\tareoid-http-"));
+        let list = |status: String| {
+            let mut lines = status.lines();
+            lines.find_map(|line| line.strip_prefix("Cpus_allowed_list:\t")).unwrap().to_owned()
+        };
+        status.map(list).collect()
+    };
+    let before = lists();
+    assert_eq!(before.len(), cores);
+    let inserting = bodies.map(|body| process.begin_to_insert(&body));
+    eventually("each has its own", || {
+        let mut lists = lists();
+        lists.sort();
+        lists.dedup();
+        lists.len() == cores && lists.iter().all(|list| list.parse::<usize>().is_ok())
+    });
+    for stream in inserting {
+        assert!(rest(stream).unwrap().text().contains("inserted"));
+    }
+    eventually("they go anywhere again", || lists() == before);
+}
+
 /// The insertion outlived its client, and the service did not wait for it.
 #[test]
 fn asked_to_end_during_an_insertion_that_nobody_waits_for_it_leaves_nothing() {
     let place = Place::new();
-    let globe = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo/mars/mola_height_8ppd.tif");
-    fs::copy(globe, place.path("rasters/globe.tif")).unwrap();
+    let body = long_insertion(&place, "new");
     let mut process = Process::start(&place, "");
-    let body = place.insertion("new", json!({ "rasters": [place.path("rasters/globe.tif")] }));
-    let mut stream = connect(process.admin);
-    write!(
-        stream,
-        "POST /v1/datasets HTTP/1.1\r\nhost: here\r\nauthorization: Bearer {TOKEN}\r\ncontent-length: {}\r\n\r\n{body}",
-        body.len()
-    )
-    .unwrap();
+    let stream = process.begin_to_insert(&body);
     let builds = || fs::read_dir(place.catalog().join("build")).map_or(0, Iterator::count);
     eventually("it builds", || builds() > 0);
     drop(stream);
@@ -141,12 +180,7 @@ fn killed_during_an_insertion_it_has_lost_nothing() {
             "new",
             json!({ "temporary": round % 2 == 0, "force": true, "priority": round }),
         );
-        let mut stream = connect(process.admin);
-        write!(
-            stream,
-            "POST /v1/datasets HTTP/1.1\r\nhost: here\r\nauthorization: Bearer {TOKEN}\r\ncontent-length: {}\r\n\r\n{body}",
-            body.len()
-        ).unwrap();
+        let mut stream = process.begin_to_insert(&body);
         stream.read_exact(&mut [0; 12]).unwrap();
         thread::sleep(Duration::from_millis(40 * (round % 7)));
         process.child.kill().unwrap();

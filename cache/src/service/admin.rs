@@ -203,13 +203,13 @@ pub(super) struct Inserting(Arc<Hub>);
 
 impl Inserting {
     pub(super) fn new(hub: &Arc<Hub>) -> Self {
-        hub.metrics.inserting.fetch_add(1, Relaxed);
+        hub.inserting.send_modify(|count| *count += 1);
         Self(Arc::clone(hub))
     }
 }
 
 impl Drop for Inserting {
     fn drop(&mut self) {
-        self.0.metrics.inserting.fetch_sub(1, Relaxed);
+        self.0.inserting.send_modify(|count| *count -= 1);
     }
 }

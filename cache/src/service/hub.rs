@@ -46,6 +46,8 @@ pub(super) struct Hub {
     pub(super) pages: Cache<PageKey, Arc<StoredPage>, PageBytes>,
     pub(super) events: broadcast::Sender<Arc<str>>,
     pub(super) stopping: watch::Sender<bool>,
+    /// How many insertions are under way or waiting.
+    pub(super) inserting: watch::Sender<usize>,
     pub(super) metrics: Metrics,
     pub(super) in_flight: Arc<Semaphore>,
     most_in_flight: usize,
@@ -67,6 +69,7 @@ impl Hub {
             pages: Cache::with_weighter(pages.clamp(16, 1 << 20), memory_bytes, PageBytes),
             events: broadcast::Sender::new(EVENTS),
             stopping: watch::Sender::new(false),
+            inserting: watch::Sender::new(0),
             metrics: Metrics::default(),
             in_flight: Arc::new(Semaphore::new(most_in_flight)),
             most_in_flight,
@@ -177,6 +180,7 @@ impl Hub {
             budget_bytes: self.pages.capacity(),
             generation: now.generation,
             datasets: now.datasets.len(),
+            inserting: *self.inserting.borrow(),
         })
     }
 }

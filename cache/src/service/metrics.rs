@@ -18,7 +18,6 @@ pub(super) struct Metrics {
     pub(super) read_nanos: AtomicU64,
     pub(super) reading: AtomicU64,
     pub(super) connections: AtomicU64,
-    pub(super) inserting: AtomicU64,
     pub(super) inserted: AtomicU64,
     pub(super) insertions_failed: AtomicU64,
     pub(super) accept_errors: AtomicU64,
@@ -32,6 +31,7 @@ pub(super) struct Gauges {
     pub(super) budget_bytes: u64,
     pub(super) generation: u64,
     pub(super) datasets: usize,
+    pub(super) inserting: usize,
 }
 
 impl Metrics {
@@ -63,7 +63,8 @@ impl Metrics {
         put("gauge", "memory_budget_bytes", "Their budget.", gauges.budget_bytes as f64);
         put("gauge", "generation", "Generation of the catalog.", gauges.generation as f64);
         put("gauge", "datasets", "Datasets served.", gauges.datasets as f64);
-        put("gauge", "inserting", "Insertions under way or waiting.", of(&self.inserting));
+        let inserting = gauges.inserting as f64;
+        put("gauge", "inserting", "Insertions under way or waiting.", inserting);
         put("counter", "inserted_total", "Insertions done.", of(&self.inserted));
         put("counter", "insertions_failed_total", "Failed.", of(&self.insertions_failed));
         put("counter", "accept_errors_total", "Connections not taken.", of(&self.accept_errors));

@@ -31,6 +31,8 @@ mod stream;
 
 mod lanes;
 
+mod cores;
+
 mod listen;
 
 mod options;

@@ -12,6 +12,7 @@ use tokio::time::{sleep, timeout};
 use tracing::{info, warn};
 
 use super::admin::{self, Gate};
+use super::cores::{Cores, keep};
 use super::hub::{Hub, stopped};
 use super::lanes::Lane;
 use super::listen::accept;
@@ -80,11 +81,15 @@ impl Service {
         let limits = options.limits;
         let cores = || thread::available_parallelism().map_or(1, usize::from);
         let threads = options.threads.unwrap_or_else(cores).max(1);
+        let cores = Cores::one_each(threads);
         for (number, lane) in Lane::all(threads).into_iter().enumerate() {
             let listener = listener.try_clone().map_err(ServiceError::Threads)?;
             let (hub, places) = (Arc::clone(&self.hub), Arc::clone(places));
-            let runtime = runtime(READS)?;
+            let runtime = runtime(READS, cores)?;
             self.spawn(format!("areoid-http-{number}"), runtime, async move {
+                if let Some(cores) = cores {
+                    tokio::spawn(keep(cores, number, hub.inserting.subscribe()));
+                }
                 let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
                 let asked = Arc::clone(&hub);
                 let respond = move |request, _| public::answer(Arc::clone(&asked), request);
@@ -95,7 +100,7 @@ impl Service {
 
         let admin = options.admin.as_ref().map(|admin| bind(admin.listen)).transpose()?;
         self.admin = admin.as_ref().and_then(|admin| admin.local_addr().ok());
-        let (hub, runtime) = (Arc::clone(&self.hub), runtime(READS)?);
+        let (hub, runtime) = (Arc::clone(&self.hub), runtime(READS, None)?);
         self.spawn("areoid-control".to_owned(), runtime, async move {
             tokio::spawn(follow(Arc::clone(&hub)));
             let listener = admin.and_then(|admin| tokio::net::TcpListener::from_std(admin).ok());
@@ -162,7 +167,7 @@ impl Service {
 ///
 /// Any [`ServiceError`].
 pub fn run(options: &Options, started: impl FnOnce(&Service)) -> Result<(), ServiceError> {
-    let runtime = runtime(1)?;
+    let runtime = runtime(1, None)?;
     // From now on no signal is missed, and none ends the process by itself.
     let mut signals = runtime.block_on(async { Signals::new() }).map_err(ServiceError::Threads)?;
     let service = Service::start(options)?;
@@ -255,8 +260,12 @@ fn bind(address: SocketAddr) -> Result<TcpListener, ServiceError> {
     listener.map_err(|source| ServiceError::Listen { address, source })
 }
 
-fn runtime(blocking: usize) -> Result<Runtime, ServiceError> {
+/// Threads that may wait go to any core, wherever the one that answers is kept.
+fn runtime(blocking: usize, cores: Option<Cores>) -> Result<Runtime, ServiceError> {
     let mut builder = Builder::new_current_thread();
+    if let Some(cores) = cores {
+        builder.on_thread_start(move || cores.leave());
+    }
     let runtime = builder.enable_all().max_blocking_threads(blocking).build();
     runtime.map_err(ServiceError::Threads)
 }
