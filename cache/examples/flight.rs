@@ -85,11 +85,11 @@ fn main() -> Result<(), Box<dyn Error>> {
 /// Every session sees them from now on. A catalog's own changes are followed by themselves.
 fn insert_all(cache: &Cache, folder: &Path) -> Result<(), Box<dyn Error>> {
     let (catalog, archives) = Catalog::open_with_archives(folder)?;
-    for (record, archive) in catalog.datasets().iter().zip(archives) {
+    let all = catalog.datasets().iter().zip(archives).map(|(record, archive)| {
         let grid = archive.description().grid.clone();
         let (name, group) = (record.name.clone(), record.group.clone());
         let (kind, priority) = (record.kind, record.priority);
-        cache.insert(DatasetInfo { name, group, kind, grid, priority }, Arc::new(archive))?;
-    }
-    Ok(())
+        (DatasetInfo { name, group, kind, grid, priority }, Arc::new(archive) as _)
+    });
+    Ok(cache.insert_all(all)?)
 }

@@ -1,5 +1,6 @@
 //! The pages of a catalog, shared by all who draw it.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed};
 
@@ -177,24 +178,41 @@ impl Cache {
         &self.problems
     }
 
-    /// Makes a dataset visible to every session, in one step, and in the place of those of its name.
-    /// Waits for its index.
+    /// [Inserts](Self::insert_all) one dataset.
     ///
     /// # Errors
     ///
     /// [`CacheError::Index`]; nothing has changed then.
     pub fn insert(&self, info: DatasetInfo, pages: Arc<dyn PageSource>) -> Result<(), CacheError> {
-        let newcomer = newcomer(info.clone(), pages)?;
-        self.engine.change(|other| other.name == info.name, vec![newcomer]);
+        self.insert_all([(info, pages)])
+    }
+
+    /// Makes datasets visible to every session, in one step, and in the place of what a user could mean by their
+    /// names or those of their groups. All parts of a group come together: those that were there go. Waits for
+    /// their indices.
+    ///
+    /// # Errors
+    ///
+    /// [`CacheError::Index`]; nothing has changed then.
+    pub fn insert_all(
+        &self,
+        datasets: impl IntoIterator<Item = (DatasetInfo, Arc<dyn PageSource>)>,
+    ) -> Result<(), CacheError> {
+        let (mut newcomers, mut names) = (Vec::new(), HashSet::new());
+        for (info, pages) in datasets {
+            names.extend([info.name.clone(), info.called().to_owned()]);
+            newcomers.push(newcomer(info, pages)?);
+        }
+        self.engine.replace(&names, newcomers);
         Ok(())
     }
 
-    /// Takes a dataset from every session, in one step; whether there was one. Waits while another
-    /// thread replaces the datasets.
+    /// Takes a dataset from every session, or all parts of a group, in one step; whether there was any. Waits
+    /// while another thread replaces the datasets.
     pub fn remove(&self, name: &str) -> bool {
-        let is_there = self.datasets().iter().any(|(_, info)| info.name == name);
+        let is_there = self.datasets().iter().any(|(_, info)| info.answers_to(name));
         if is_there {
-            self.engine.change(|info| info.name == name, Vec::new());
+            self.engine.change(|info| info.answers_to(name), Vec::new());
         }
         is_there
     }

@@ -1,5 +1,6 @@
 //! The threads of a cache, and what they share with its sessions.
 
+use std::collections::HashSet;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -54,9 +55,25 @@ impl Engine {
     /// Drops the datasets that `drop` is true for and takes in others, in one step that every
     /// session hears of.
     pub(crate) fn change(&self, drop: impl Fn(&DatasetInfo) -> bool, newcomers: Vec<Newcomer>) {
+        self.step(|before| before.changed(&drop, newcomers.iter().cloned()));
+    }
+
+    /// Takes in datasets in the place of what a user could mean by `names`, a group as a whole, in one step
+    /// that every session hears of.
+    pub(crate) fn replace(&self, names: &HashSet<String>, newcomers: Vec<Newcomer>) {
+        self.step(|before| {
+            let goes =
+                |info: &DatasetInfo| names.contains(&info.name) || names.contains(info.called());
+            let gone: HashSet<&str> =
+                before.all().filter(|info| goes(info)).map(DatasetInfo::called).collect();
+            before.changed(|info| gone.contains(info.called()), newcomers.iter().cloned())
+        });
+    }
+
+    fn step(&self, after: impl Fn(&Scene) -> Scene) {
         loop {
             let before = self.shared.scene();
-            let after = before.changed(&drop, newcomers.iter().cloned());
+            let after = after(&before);
             if self.shared.replace_scene(&before, after) {
                 break;
             }

@@ -2,11 +2,12 @@
 //!
 //! A dataset that is kept goes into the catalog. One that is temporary goes into a catalog of its own in a
 //! folder `temporary-…` of it, which is taken away as soon as its archives are open: nothing is left to be
-//! found, however the process ends. A process killed before that leaves the folder, and the next
-//! [`sweep_temporary`] takes it away: its owner's lock on it is gone with the owner.
+//! found, however the process ends. A process killed before that leaves the folder, and one killed while it built
+//! what is kept leaves the build: a file `inserting-…` says which. The next [`sweep`] takes both away, as their
+//! owner's locks are gone with the owner.
 
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::thread;
@@ -59,8 +60,8 @@ pub enum InsertError {
         /// The name.
         name: String,
     },
-    /// No place for a temporary dataset.
-    #[error("cannot make a place for a temporary dataset in {}", folder.display())]
+    /// No place for a temporary dataset, or for the notice of a build.
+    #[error("cannot prepare an insertion in {}", folder.display())]
     Place {
         /// The catalog's folder.
         folder: PathBuf,
@@ -76,6 +77,7 @@ pub enum InsertError {
 const NICE: i32 = 19;
 
 const TEMPORARY: &str = "temporary-";
+const INSERTING: &str = "inserting-";
 const LOCK: &str = "owner.lock";
 
 /// Ingests into the catalog that `request` names and `body` is of, and waits; `watch` hears of it on the
@@ -129,6 +131,7 @@ fn keep(
     watch: impl FnMut(Event) -> Proceed + Send,
 ) -> Result<Inserted, InsertError> {
     let request = Request { unfinished: Unfinished::Discard, ..request };
+    let _notice = Notice::new(&request)?;
     match ingest(&RealDisk, &request, watch) {
         Ok(outcome) => Ok(Inserted { outcome, temporary: Vec::new() }),
         Err(error) => {
@@ -142,10 +145,46 @@ fn keep(
 
 /// Takes away the build that a failed ingest has kept, or those of its parts.
 fn discard(request: &Request) {
-    for dataset in request.datasets() {
-        // If it stays, the next build of that name discards it.
-        let _ = Build::resume(&RealDisk, &request.catalog, &dataset).and_then(Build::discard);
+    request.datasets().iter().for_each(|dataset| discard_build(&request.catalog, dataset));
+}
+
+fn discard_build(folder: &Path, dataset: &str) {
+    // If it stays, the next build of that name discards it; if another process has it, that builds it.
+    let _ = Build::resume(&RealDisk, folder, dataset).and_then(Build::discard);
+}
+
+/// A file, locked by its owner, of the names of what is built in a catalog and goes if the owner is killed.
+struct Notice {
+    path: PathBuf,
+    _owner: File,
+}
+
+impl Notice {
+    fn new(request: &Request) -> Result<Self, InsertError> {
+        let make = || {
+            fs::create_dir_all(&request.catalog)?;
+            let path = request.catalog.join(own_name(INSERTING));
+            let mut owner = File::create_new(&path)?;
+            owner.lock()?;
+            let notice = Self { path, _owner: owner.try_clone()? };
+            owner.write_all(request.datasets().join("\n").as_bytes())?;
+            Ok(notice)
+        };
+        make().map_err(|source| InsertError::Place { folder: request.catalog.clone(), source })
     }
+}
+
+impl Drop for Notice {
+    fn drop(&mut self) {
+        // If it stays, the next sweep finds nothing of those names, or what another process builds.
+        let _ = fs::remove_file(&self.path);
+    }
+}
+
+/// A file's name that nobody else has.
+fn own_name(kind: &str) -> String {
+    static NEXT: AtomicU64 = AtomicU64::new(0);
+    format!("{kind}{}-{}", std::process::id(), NEXT.fetch_add(1, Relaxed))
 }
 
 fn make_temporary(
@@ -179,10 +218,8 @@ struct Place {
 
 impl Place {
     fn new(catalog: &Path) -> Result<Self, InsertError> {
-        static NEXT: AtomicU64 = AtomicU64::new(0);
         let make = || {
-            let number = NEXT.fetch_add(1, Relaxed);
-            let folder = catalog.join(format!("{TEMPORARY}{}-{number}", std::process::id()));
+            let folder = catalog.join(own_name(TEMPORARY));
             fs::create_dir(&folder)?;
             let owner = File::create(folder.join(LOCK))?;
             owner.lock()?;
@@ -203,22 +240,30 @@ impl Drop for Place {
     }
 }
 
-/// Takes away what killed processes left of temporary datasets in the catalog at `folder`.
-pub fn sweep_temporary(folder: &Path) {
+/// Takes away what killed processes left of insertions into the catalog at `folder`.
+pub fn sweep(folder: &Path) {
     let Ok(listing) = fs::read_dir(folder) else { return };
     for entry in listing.flatten() {
-        let is_ours = entry.file_name().to_str().is_some_and(|name| name.starts_with(TEMPORARY));
-        if !is_ours {
-            continue;
+        let (name, path) = (entry.file_name(), entry.path());
+        let name = name.to_str().unwrap_or_default();
+        // What is left is swept by the next start.
+        if name.starts_with(TEMPORARY) {
+            // Without a lock to hold, its owner was killed before it could; or is about to make one: then
+            // the insertion fails, and can be asked for again.
+            let owner = File::open(path.join(LOCK));
+            if owner.is_ok_and(|owner| owner.try_lock().is_err()) {
+                continue;
+            }
+            let _ = fs::remove_dir_all(path);
+        } else if name.starts_with(INSERTING) {
+            let Ok(mut notice) = File::open(&path) else { continue };
+            let mut names = String::new();
+            if notice.try_lock().is_err() || notice.read_to_string(&mut names).is_err() {
+                continue;
+            }
+            names.lines().for_each(|dataset| discard_build(folder, dataset));
+            let _ = fs::remove_file(path);
         }
-        // Without a lock to hold, its owner was killed before it could; or is about to make one: then
-        // the insertion fails, and can be asked for again.
-        let owner = File::open(entry.path().join(LOCK));
-        if owner.is_ok_and(|owner| owner.try_lock().is_err()) {
-            continue;
-        }
-        // If it stays, the next start sweeps it.
-        let _ = fs::remove_dir_all(entry.path());
     }
 }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use areoid_formats::archive::MipRule;
+use areoid_formats::catalog::check_name;
 use areoid_formats::codec::Quantum;
 use areoid_formats::geodesy::LatitudeKind;
 use areoid_formats::page::Kind;
@@ -165,6 +166,7 @@ impl InsertRequest {
         if self.rasters.is_empty() {
             return Err("there is no raster to insert".to_owned());
         }
+        self.name.as_deref().map_or(Ok(()), check_name).map_err(|error| error.to_string())?;
         let grid = GRIDS.iter().find(|(name, _)| *name == self.grid);
         let (_, grid) = *grid.ok_or_else(|| format!("no grid is called {:?}", self.grid))?;
         let kernel = KERNELS.into_iter().find(|kernel| kernel.name() == self.kernel);

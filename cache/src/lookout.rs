@@ -19,7 +19,7 @@ use crate::view::View;
 #[derive(Clone, Debug)]
 pub(crate) struct Task {
     pub(crate) scene: Arc<Scene>,
-    pub(crate) view: View,
+    pub(crate) views: Vec<View>,
     pub(crate) exaggeration: f64,
     pub(crate) hidden: Hidden,
     pub(crate) allowance: usize,
@@ -103,13 +103,12 @@ impl Look {
     /// Searches: this takes a while, and needs no store.
     pub(crate) fn search(&mut self) {
         let Room { memo, found, scene, .. } = &mut *self.room;
-        let Task { scene: now, view, hidden, .. } = &self.task;
+        let Task { scene: now, views, hidden, .. } = &self.task;
         let Task { exaggeration, allowance, blends, .. } = self.task;
         if *scene != now.generation {
             memo.keep(|number| now.place(number).is_some());
             *scene = now.generation;
         }
-        let views = std::slice::from_ref(view);
         let wish = Wish { views, exaggeration, hidden, allowance, blends, only: None };
         search(now, memo, wish, found);
     }
@@ -150,11 +149,19 @@ mod tests {
             tolerance_px,
         };
         let (exaggeration, hidden) = (1.0, Hidden::default());
-        Task { scene, view, exaggeration, hidden, allowance: 0, blends: false, is_far: false }
+        Task {
+            scene,
+            views: vec![view],
+            exaggeration,
+            hidden,
+            allowance: 0,
+            blends: false,
+            is_far: false,
+        }
     }
 
     fn next(lookouts: &mut Lookouts) -> Option<(u64, f64, Look)> {
-        lookouts.next().map(|look| (look.session, look.task.view.tolerance_px, look))
+        lookouts.next().map(|look| (look.session, look.task.views[0].tolerance_px, look))
     }
 
     #[test]

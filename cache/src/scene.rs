@@ -213,6 +213,11 @@ impl Scene {
         (self.heights == before.heights).then(|| (first..self.numbers.len()).collect())
     }
 
+    /// All datasets, in the order of their numbers.
+    pub(crate) fn all(&self) -> impl Iterator<Item = &DatasetInfo> {
+        self.datasets.iter().map(|dataset| dataset.info.as_ref())
+    }
+
     /// What there is to say of all datasets.
     pub(crate) fn infos(&self) -> Datasets {
         self.datasets.iter().map(|dataset| (dataset.number, Arc::clone(&dataset.info))).collect()

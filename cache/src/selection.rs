@@ -23,6 +23,20 @@ pub struct DatasetInfo {
     pub priority: i32,
 }
 
+impl DatasetInfo {
+    /// What the user calls it: its group, if it is a part of one.
+    #[must_use]
+    pub fn called(&self) -> &str {
+        self.group.as_ref().unwrap_or(&self.name)
+    }
+
+    /// Whether `name` means it: its own name, or that of its group.
+    #[must_use]
+    pub fn answers_to(&self, name: &str) -> bool {
+        self.name == name || self.called() == name
+    }
+}
+
 /// Some of a cache's datasets, in the order of their numbers. A dataset has its number for as long
 /// as the cache lives, and no other ever has it.
 #[derive(Clone, Debug, Default)]

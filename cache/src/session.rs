@@ -45,7 +45,8 @@ pub struct Session {
     memo: Memo,
     matcher: Matcher,
     views: Vec<View>,
-    motion: Motion,
+    /// Of each view.
+    motions: Vec<Motion>,
     /// When it was last looked ahead, and how often it was.
     looked: Option<Instant>,
     looks: u32,
@@ -111,7 +112,7 @@ impl Session {
             memo: Memo::default(),
             matcher: Matcher::default(),
             views: Vec::new(),
-            motion: Motion::default(),
+            motions: Vec::new(),
             looked: None,
             looks: 0,
             hidden: Hidden::default(),
@@ -157,8 +158,9 @@ impl Session {
     /// neither the views nor anything else changes it allocates nothing.
     pub fn update_all(&mut self, views: &[View]) -> Arc<Selection> {
         let now = Instant::now();
-        if let Some(view) = views.first() {
-            self.motion.observe(view, now);
+        self.motions.resize_with(views.len(), Motion::default);
+        for (motion, view) in self.motions.iter_mut().zip(views) {
+            motion.observe(view, now);
         }
         if self.views == views && self.next.is_none() && !self.has_news() {
             return Arc::clone(&self.last);
@@ -310,7 +312,8 @@ impl Session {
             let mut requests = Vec::new();
             let after = self.matcher.compare(scene, found, &mut store, &mut requests);
             // In a view that has hardly moved, the picture lacks what it lacked a frame ago.
-            let is_steady = self.motion.is_steady(self.ground_m(scene));
+            let ground_m = self.ground_m(scene);
+            let is_steady = self.motions.iter().all(|motion| motion.is_steady(ground_m));
             let is_as_whole = is_steady && after.missing <= self.last.missing;
             if after.missing == 0 || is_as_whole || self.is_first() || next.is_late(now) {
                 self.adopt();
@@ -436,13 +439,20 @@ impl Session {
         let is_far = self.looks.is_multiple_of(Self::FAR_OF);
         let reach = if is_far { Self::LOOK_FAR_AHEAD } else { Self::LOOK_AHEAD };
         let scene = &self.shown.scene;
-        let expected = self.motion.predict(reach, self.ground_m(scene));
-        if let (Some(view), 1) = (expected, self.views.len()) {
+        let ground_m = self.ground_m(scene);
+        let mut moves = false;
+        let mut expect = |(motion, view): (&Motion, &View)| {
+            let expected = motion.predict(reach, ground_m);
+            moves |= expected.is_some();
+            expected.unwrap_or(*view)
+        };
+        let views: Vec<View> = self.motions.iter().zip(&self.views).map(&mut expect).collect();
+        if moves {
             if let Some(mut lookouts) = self.engine.shared().try_lookouts() {
                 let (scene, hidden) = (Arc::clone(scene), self.hidden.clone());
                 let (exaggeration, allowance, blends) =
                     (self.exaggeration, self.allowance(), self.blends);
-                let task = Task { scene, view, exaggeration, hidden, allowance, blends, is_far };
+                let task = Task { scene, views, exaggeration, hidden, allowance, blends, is_far };
                 lookouts.post(self.number, task);
             }
         } else {

@@ -32,7 +32,8 @@ use areoid_formats::storage::ByteSource;
 use areoid_formats::units::{Degrees, Meters};
 use glam::{DMat3, DVec3};
 
-use crate::{Cache, DatasetInfo, Options, Selection, Session, View};
+pub(crate) use self::opening::globe_in_a_catalog;
+use crate::{Cache, DatasetInfo, Options, PageSource, Selection, Session, View};
 
 /// A budget for all there is.
 const PLENTY: usize = 64 << 20;

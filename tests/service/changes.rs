@@ -68,6 +68,43 @@ fn parts_of_a_temporary_group_go_together() {
     assert_eq!(serving.names(), ["pole"]);
 }
 
+/// Whatever it was, a group or one dataset: old and new are never served together.
+#[test]
+fn what_is_called_as_something_temporary_comes_in_its_place() {
+    const PARTS: [&str; 4] = ["globe.band", "globe.north", "globe.south", "pole"];
+    const ONE: [&str; 2] = ["globe", "pole"];
+    for [split_first, kept_then] in [[true, false], [false, false], [true, true], [false, true]] {
+        let serving = Serving::new();
+        let raster = serving.place.path("rasters/globe.tif");
+        write_bare(&raster, 512, 256);
+        let insert = |name: &str, split: bool, temporary: bool| {
+            let grid = if split { "split" } else { "native" };
+            let options = json!({ "rasters": [raster], "grid": grid, "temporary": temporary });
+            let mut more = globe();
+            more.as_object_mut().unwrap().extend(options.as_object().unwrap().clone());
+            let answer = serving.insert(&serving.place.insertion(name, more)).text();
+            assert!(answer.contains("inserted"), "{answer}");
+        };
+        let all = |split: bool| if split { PARTS.to_vec() } else { ONE.to_vec() };
+        insert("globe", split_first, true);
+        assert_eq!(serving.names(), all(split_first));
+        insert("globe", !split_first, !kept_then);
+        assert_eq!(serving.names(), all(!split_first), "{split_first} {kept_then}");
+    }
+    // One that is called as a part: no half of a group is left.
+    let serving = Serving::new();
+    let raster = serving.place.path("rasters/globe.tif");
+    write_bare(&raster, 512, 256);
+    let mut more = globe();
+    let options = json!({ "rasters": [raster], "grid": "split", "temporary": true });
+    more.as_object_mut().unwrap().extend(options.as_object().unwrap().clone());
+    serving.insert(&serving.place.insertion("globe", more));
+    assert_eq!(serving.names(), PARTS);
+    let one = serving.place.insertion("globe.band", json!({}));
+    assert!(serving.insert(&one).text().contains("inserted"));
+    assert_eq!(serving.names(), ["globe.band", "pole"]);
+}
+
 #[test]
 fn a_temporary_dataset_of_a_name_that_is_taken_is_refused_before_it_is_built() {
     let serving = Serving::new();

@@ -95,9 +95,38 @@ fn a_page_is_its_payload_from_disk_and_then_from_memory() {
         assert_eq!(serving.get(&format!("{pages}/{}/{rows}/0", level.0)).status, 404);
     }
     assert_eq!(serving.get(&format!("{pages}/99/0/0")).status, 404);
-    assert_eq!(serving.get(&format!("{pages}/0/-1/0")).status, 400);
+    for odd in ["0/-1/0", "0/+0/0", "0/00/0", "0//0", "0/0/99999999999999999999"] {
+        assert_eq!(serving.get(&format!("{pages}/{odd}")).status, 400, "{odd}");
+    }
     assert_eq!(serving.get("/v1/pages/pole/0123456789abcdef/0/0/0").status, 404);
     assert_eq!(serving.get(&format!("{pages}/0/0")).status, 404);
+}
+
+/// Whatever has a tag.
+#[test]
+fn what_is_in_memory_has_a_tag_and_ranges() {
+    let serving = Serving::new();
+    let (pages, _) = serving.subject();
+    let page = format!("{pages}/0/0/0");
+    for path in [page.as_str(), "/v1/catalog", "/v1/datasets/pole", "/v1/height?lon=30&lat=80"] {
+        let whole = serving.get(path);
+        let (tag, length) = (whole.header("etag").to_owned(), whole.body.len());
+        let range = |headers: &[(&str, &str)]| ask(serving.address(), "GET", path, headers, "");
+        let part = range(&[("range", "bytes=2-11"), ("if-range", &tag)]);
+        assert_eq!((part.status, part.header("etag")), (206, tag.as_str()), "{path}");
+        assert_eq!(part.header("content-range"), format!("bytes 2-11/{length}"));
+        assert_eq!(part.body, whole.body[2..12]);
+        assert_eq!(range(&[("range", "bytes=0-1"), ("if-range", "\"other\"")]).body, whole.body);
+        let beyond = range(&[("range", "bytes=9999999-")]);
+        assert_eq!(
+            (beyond.status, beyond.header("content-range")),
+            (416, format!("bytes */{length}").as_str())
+        );
+        let known = range(&[("range", "bytes=2-11"), ("if-none-match", &tag)]);
+        assert_eq!((known.status, known.body.len()), (304, 0));
+        // Again, from memory.
+        assert_eq!(serving.get(path).body, whole.body);
+    }
 }
 
 #[test]

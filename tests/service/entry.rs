@@ -178,6 +178,7 @@ fn a_dataset_is_not_named_out_of_the_catalog() {
         for temporary in [false, true] {
             let body = serving.place.insertion(name, json!({ "temporary": temporary }));
             let answer = serving.insert(&body);
+            assert_eq!(answer.status, 400, "{name:?}");
             assert!(answer.text().contains("cannot name a dataset"), "{name:?}: {}", answer.text());
         }
     }

@@ -188,9 +188,9 @@ fn killed_during_an_insertion_it_has_lost_nothing() {
     }
     let process = Process::start(&place, "");
     let temporary = fs::read_dir(place.catalog()).unwrap().map(Result::unwrap);
-    let left =
-        temporary.filter(|entry| entry.file_name().to_string_lossy().starts_with("temporary-"));
+    let left = temporary.filter(|entry| entry.file_name().to_string_lossy().contains('-'));
     assert_eq!(left.count(), 0);
+    assert_eq!(fs::read_dir(place.catalog().join("build")).map_or(0, Iterator::count), 0);
     let catalog = get(process.public, "/v1/catalog").text();
     assert!(catalog.contains("\"pole\"") && !catalog.contains("\"error\""), "{catalog}");
 }

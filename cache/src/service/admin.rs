@@ -23,6 +23,7 @@ use super::hub::Hub;
 use super::mutate;
 use super::options::{Admin, ServiceError};
 use crate::insertion_request::InsertRequest;
+use crate::words::in_words;
 
 /// Bytes of a request's body.
 const BODY_BYTES: usize = 64 << 10;
@@ -193,7 +194,7 @@ async fn remove(hub: Arc<Hub>, name: String) -> Answer {
         }
         Ok(Err(error @ CatalogError::NoSuchDataset { .. })) => answer::not_found(error),
         Ok(Err(error @ CatalogError::Part { .. })) => answer::error(StatusCode::CONFLICT, error),
-        Ok(Err(error)) => answer::error(StatusCode::INTERNAL_SERVER_ERROR, error),
+        Ok(Err(error)) => answer::error(StatusCode::INTERNAL_SERVER_ERROR, in_words(&error)),
         Err(error) => answer::error(StatusCode::INTERNAL_SERVER_ERROR, error),
     }
 }

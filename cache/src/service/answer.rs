@@ -1,6 +1,7 @@
 //! Answers: a body that is in memory or comes in pieces, errors in JSON, validators.
 
 use std::io;
+use std::ops::Range;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -108,6 +109,23 @@ impl Content {
             _asked: self.asked.clone(),
             bytes,
         })
+    }
+
+    /// Its bytes, if they are in memory and there are any.
+    pub(super) fn in_memory(&self) -> Option<u64> {
+        self.length().filter(|_| matches!(self.from, From::Memory(Some(_))))
+    }
+
+    /// A part of what is in memory.
+    pub(super) fn part(mut self, range: &Range<u64>) -> Self {
+        if let From::Memory(Some(bytes)) = &mut self.from {
+            let end =
+                |end: u64| usize::try_from(end).map_or(bytes.len(), |end| end.min(bytes.len()));
+            *bytes = bytes.slice(end(range.start)..end(range.end));
+            // Files are known by all of their bytes.
+            self.filed = None;
+        }
+        self
     }
 
     fn length(&self) -> Option<u64> {

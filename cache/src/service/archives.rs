@@ -7,15 +7,14 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 
 use bytes::Bytes;
-use hyper::header::{
-    ACCEPT_RANGES, CONTENT_RANGE, CONTENT_TYPE, HeaderMap, HeaderValue, IF_RANGE, RANGE,
-};
+use hyper::header::{ACCEPT_RANGES, CONTENT_TYPE, HeaderMap, HeaderValue};
 use hyper::{Method, Response, StatusCode};
 use tokio::sync::mpsc;
 use tokio::task::spawn_blocking;
 
 use super::answer::{self, Answer, Content, IMMUTABLE, is_known, tag, tagged};
 use super::hub::Hub;
+use super::ranges::{partial, wanted};
 use super::snapshot::Served;
 
 /// Bytes read at a time; a slow client holds three of them.
@@ -41,12 +40,7 @@ pub(super) async fn archive(
     let tag = tag(&served.record.content);
     let wanted = match wanted(asked, &tag, length) {
         Ok(wanted) => wanted,
-        Err(Unsatisfiable) => {
-            let mut answer = answer::error(StatusCode::RANGE_NOT_SATISFIABLE, "no such range");
-            let range = HeaderValue::try_from(format!("bytes */{length}"));
-            answer.headers_mut().extend(range.ok().map(|range| (CONTENT_RANGE, range)));
-            return answer;
-        }
+        Err(unsatisfiable) => return unsatisfiable.answer(),
     };
     let range = wanted.clone().unwrap_or(0..length);
     let content = if method == Method::HEAD || is_known(asked, &tag) {
@@ -65,50 +59,10 @@ pub(super) async fn archive(
     let headers = answer.headers_mut();
     headers.insert(CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
     headers.insert(ACCEPT_RANGES, HeaderValue::from_static("bytes"));
-    if let Some(Range { start, end }) = wanted {
-        let range = HeaderValue::try_from(format!("bytes {start}-{}/{length}", end - 1));
-        headers.extend(range.ok().map(|range| (CONTENT_RANGE, range)));
-        *answer.status_mut() = StatusCode::PARTIAL_CONTENT;
+    if let Some(range) = wanted {
+        answer = partial(answer, &range, length);
     }
     tagged(answer, asked, &tag, IMMUTABLE)
-}
-
-/// A range that the file has no byte of.
-#[derive(Debug, PartialEq)]
-struct Unsatisfiable;
-
-/// The one range asked for, if it is one. Several, or what is no range of bytes, mean the whole.
-fn wanted(
-    asked: &HeaderMap,
-    tag: &HeaderValue,
-    length: u64,
-) -> Result<Option<Range<u64>>, Unsatisfiable> {
-    if asked.get(IF_RANGE).is_some_and(|range| range != tag) {
-        return Ok(None);
-    }
-    let range = asked.get(RANGE).and_then(|range| range.to_str().ok());
-    range.map_or(Ok(None), |range| parse(range, length))
-}
-
-fn parse(range: &str, length: u64) -> Result<Option<Range<u64>>, Unsatisfiable> {
-    let ends = range.strip_prefix("bytes=").and_then(|range| range.split_once('-'));
-    let Some((first, last)) = ends.map(|(first, last)| (first.trim(), last.trim())) else {
-        return Ok(None);
-    };
-    let is_number = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
-    if !(is_number(first) && is_number(last)) {
-        return Ok(None);
-    }
-    // More digits than a length has are more than any file has.
-    let number = |text: &str| text.parse::<u64>().unwrap_or(u64::MAX);
-    let range = match (first, last) {
-        ("", "") => return Ok(None),
-        ("", count) => length.saturating_sub(number(count))..length,
-        (first, "") => number(first)..length,
-        (first, last) if number(last) < number(first) => return Ok(None),
-        (first, last) => number(first)..number(last).saturating_add(1).min(length),
-    };
-    if range.is_empty() { Err(Unsatisfiable) } else { Ok(Some(range)) }
 }
 
 fn piece(served: &Served, range: &Range<u64>) -> io::Result<Bytes> {
@@ -151,33 +105,4 @@ fn rest(hub: &Arc<Hub>, served: &Arc<Served>, range: Range<u64>, first: Bytes) -
         }
     });
     Content::pieces(pieces, Some(length))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn one_range_is_heeded_and_all_else_means_the_whole() {
-        for (text, found) in [
-            ("bytes=0-0", Ok(Some(0..1))),
-            ("bytes=2-", Ok(Some(2..10))),
-            ("bytes=2-99", Ok(Some(2..10))),
-            ("bytes=-3", Ok(Some(7..10))),
-            ("bytes=-99", Ok(Some(0..10))),
-            ("bytes=9-9", Ok(Some(9..10))),
-            ("bytes=10-", Err(Unsatisfiable)),
-            ("bytes=-0", Err(Unsatisfiable)),
-            ("bytes=99999999999999999999999-", Err(Unsatisfiable)),
-            ("bytes=3-2", Ok(None)),
-            ("bytes=0-1,4-5", Ok(None)),
-            ("bytes=-", Ok(None)),
-            ("bytes=+1-2", Ok(None)),
-            ("lines=0-1", Ok(None)),
-            ("", Ok(None)),
-        ] {
-            assert_eq!(parse(text, 10), found, "{text}");
-        }
-        assert_eq!(parse("bytes=0-", 0), Err(Unsatisfiable));
-    }
 }

@@ -6,110 +6,148 @@
 
 use tokio::sync::watch;
 
-/// The cores that this process may use, if there is one for each thread that answers.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Cores {
-    #[cfg(target_os = "linux")]
-    all: rustix::thread::CpuSet,
+pub(super) use system::Core;
+
+impl Core {
+    /// Keeps this thread to the core while there are insertions, until nobody tells of them any more.
+    ///
+    /// # Cancel safety
+    ///
+    /// The thread stays where it is.
+    pub(super) async fn keep(self, mut inserting: watch::Receiver<usize>) {
+        let mut stays = false;
+        loop {
+            let any = *inserting.borrow_and_update() > 0;
+            match (stays, any) {
+                (false, true) => self.stay(),
+                (true, false) => self.leave(),
+                _ => {}
+            }
+            stays = any;
+            if inserting.changed().await.is_err() {
+                return;
+            }
+        }
+    }
 }
 
 #[cfg(target_os = "linux")]
-impl Cores {
-    /// `None` unless there are just as many: of a part of them, other processes might take the same.
-    pub(super) fn one_each(threads: usize) -> Option<Self> {
-        let all = rustix::thread::sched_getaffinity(None).ok()?;
-        (usize::try_from(all.count()) == Ok(threads)).then_some(Self { all })
+mod system {
+    use std::sync::{Arc, Mutex, PoisonError};
+
+    use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+    use tracing::debug;
+
+    /// A thread's core, and where it may be while it does not keep to it.
+    #[derive(Clone, Debug)]
+    pub(in super::super) struct Core {
+        number: usize,
+        elsewhere: Arc<Mutex<CpuSet>>,
     }
 
-    /// Keeps this thread, and those it starts, on the core of that number.
-    fn stay(&self, number: usize) {
-        use rustix::thread::{CpuSet, sched_setaffinity};
-
-        let mut all = (0..CpuSet::MAX_CPU).filter(|&core| self.all.is_set(core));
-        if let Some(core) = all.nth(number) {
-            let mut one = CpuSet::new();
-            one.set(core);
-            // Where it is it answers too.
-            let _ = sched_setaffinity(None, &one);
+    impl Core {
+        /// One for each of so many threads; none if this process has not just as many: of a part of them, other
+        /// processes might take the same.
+        pub(in super::super) fn one_each(threads: usize) -> Vec<Self> {
+            let Ok(all) = sched_getaffinity(None) else { return Vec::new() };
+            let numbers = (0..CpuSet::MAX_CPU).filter(|&number| all.is_set(number));
+            let core = |number| Self { number, elsewhere: Arc::new(Mutex::new(all)) };
+            let cores: Vec<Self> = numbers.map(core).collect();
+            if cores.len() == threads { cores } else { Vec::new() }
         }
-    }
 
-    /// Lets this thread go to any core.
-    pub(super) fn leave(&self) {
-        // A core may have been taken away.
-        let _ = rustix::thread::sched_setaffinity(None, &self.all);
+        /// Keeps this thread, and those that it starts, to the core.
+        pub(super) fn stay(&self) {
+            let mut one = CpuSet::new();
+            one.set(self.number);
+            let stayed = sched_getaffinity(None).and_then(|before| {
+                *self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner) = before;
+                sched_setaffinity(None, &one)
+            });
+            if let Err(error) = stayed {
+                debug!(
+                    core = self.number,
+                    error = &error as &dyn std::error::Error,
+                    "not kept to it"
+                );
+            }
+        }
+
+        /// Lets this thread go where the one that keeps to the core could before.
+        pub(in super::super) fn leave(&self) {
+            let elsewhere = *self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Err(error) = sched_setaffinity(None, &elsewhere) {
+                debug!(core = self.number, error = &error as &dyn std::error::Error, "not left");
+            }
+        }
     }
 }
 
 #[cfg(not(target_os = "linux"))]
-impl Cores {
-    pub(super) fn one_each(_threads: usize) -> Option<Self> {
-        None
-    }
+mod system {
+    /// There is none.
+    #[derive(Clone, Debug)]
+    pub(in super::super) enum Core {}
 
-    fn stay(&self, _number: usize) {}
-
-    pub(super) fn leave(&self) {}
-}
-
-/// Keeps this thread on the core of its number while there are insertions, until nobody tells of them any more.
-///
-/// # Cancel safety
-///
-/// The thread stays where it is.
-pub(super) async fn keep(cores: Cores, number: usize, mut inserting: watch::Receiver<usize>) {
-    let mut stays = false;
-    loop {
-        let any = *inserting.borrow_and_update() > 0;
-        match (stays, any) {
-            (false, true) => cores.stay(number),
-            (true, false) => cores.leave(),
-            _ => {}
+    impl Core {
+        pub(in super::super) fn one_each(_threads: usize) -> Vec<Self> {
+            Vec::new()
         }
-        stays = any;
-        if inserting.changed().await.is_err() {
-            return;
+
+        pub(super) fn stay(&self) {
+            match *self {}
+        }
+
+        pub(in super::super) fn leave(&self) {
+            match *self {}
         }
     }
 }
 
 #[cfg(all(test, target_os = "linux"))]
 mod tests {
-    use rustix::thread::sched_getaffinity;
+    use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
     use tokio::runtime::Builder;
     use tokio::task::{spawn_blocking, yield_now};
 
     use super::*;
 
     #[test]
-    fn a_thread_stays_on_its_core_while_there_are_insertions_and_those_it_starts_do_not() {
+    fn a_thread_keeps_to_its_core_while_there_are_insertions_and_those_it_starts_do_not() {
         let all = sched_getaffinity(None).unwrap();
-        let count = usize::try_from(all.count()).unwrap();
-        assert!(Cores::one_each(count + 1).is_none());
-        assert!(count == 1 || Cores::one_each(count - 1).is_none());
-        let cores = Cores::one_each(count).unwrap();
+        let numbers: Vec<usize> = (0..CpuSet::MAX_CPU).filter(|&core| all.is_set(core)).collect();
+        assert!(Core::one_each(numbers.len() + 1).is_empty());
+        assert!(Core::one_each(numbers.len() - 1).is_empty());
+        let [core, other] = [numbers.len() - 1, 0].map(|place| {
+            let mut one = CpuSet::new();
+            one.set(numbers[place]);
+            (Core::one_each(numbers.len()).swap_remove(place), one)
+        });
         let mut builder = Builder::new_current_thread();
-        let runtime = builder.on_thread_start(move || cores.leave()).build().unwrap();
+        let starts = core.0.clone();
+        let runtime = builder.on_thread_start(move || starts.leave()).build().unwrap();
         runtime.block_on(async {
             let own = async || {
                 yield_now().await;
                 sched_getaffinity(None).unwrap()
             };
             let inserting = watch::Sender::new(0);
-            let keeper = tokio::spawn(keep(cores, count - 1, inserting.subscribe()));
+            let keeper = tokio::spawn(core.0.keep(inserting.subscribe()));
             assert_eq!(own().await, all);
             for some in [1, 2, 1] {
                 inserting.send_replace(some);
-                let one = own().await;
-                assert_eq!(one.count(), 1);
-                // The last of all.
-                let last = (0..rustix::thread::CpuSet::MAX_CPU).rfind(|&core| all.is_set(core));
-                assert!(one.is_set(last.unwrap()));
+                assert_eq!(own().await, core.1);
             }
             let started = spawn_blocking(|| sched_getaffinity(None).unwrap());
             assert_eq!(started.await.unwrap(), all);
             inserting.send_replace(0);
             assert_eq!(own().await, all);
+            // Whoever has sent it elsewhere since is heeded.
+            sched_setaffinity(None, &other.1).unwrap();
+            for (some, place) in [(1, core.1), (0, other.1)] {
+                inserting.send_replace(some);
+                assert_eq!(own().await, place);
+            }
             drop(inserting);
             keeper.await.unwrap();
         });

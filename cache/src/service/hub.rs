@@ -12,9 +12,10 @@ use serde_json::json;
 use tokio::sync::{Semaphore, broadcast, watch};
 use tracing::debug;
 
+use super::listen::Limits;
 use super::metrics::{Gauges, Metrics};
 use super::pages::StoredPage;
-use super::snapshot::{Served, Snapshot};
+use super::snapshot::{Served, Snapshot, make_room};
 
 /// Which page of what is served.
 pub(super) type PageKey = (u64, PageAddress);
@@ -28,6 +29,9 @@ impl Weighter<PageKey, Arc<StoredPage>> for PageBytes {
         page.weight()
     }
 }
+
+/// Heights looked up at a time: each reads and decodes a page or more.
+pub(super) const HEIGHTS: usize = 4;
 
 /// Events that a client may be behind before it is told to ask for the catalog again.
 const EVENTS: usize = 256;
@@ -51,6 +55,10 @@ pub(super) struct Hub {
     pub(super) metrics: Metrics,
     pub(super) in_flight: Arc<Semaphore>,
     most_in_flight: usize,
+    /// Heights that are looked up at a time.
+    pub(super) heights: Arc<Semaphore>,
+    /// Clients that listen to events.
+    pub(super) listeners: Arc<Semaphore>,
     event: AtomicU64,
 }
 
@@ -58,7 +66,7 @@ impl Hub {
     pub(super) fn open(
         folder: &Path,
         memory_bytes: u64,
-        most_in_flight: usize,
+        limits: Limits,
     ) -> Result<Self, CatalogError> {
         let now = RwLock::new(Arc::new(Snapshot::newest(folder, None)?));
         let pages = usize::try_from(memory_bytes / (128 << 10)).unwrap_or(usize::MAX);
@@ -71,8 +79,10 @@ impl Hub {
             stopping: watch::Sender::new(false),
             inserting: watch::Sender::new(0),
             metrics: Metrics::default(),
-            in_flight: Arc::new(Semaphore::new(most_in_flight)),
-            most_in_flight,
+            in_flight: Arc::new(Semaphore::new(limits.requests)),
+            most_in_flight: limits.requests,
+            heights: Arc::new(Semaphore::new(HEIGHTS)),
+            listeners: Arc::new(Semaphore::new(limits.connections)),
             event: AtomicU64::new(0),
         })
     }
@@ -108,9 +118,10 @@ impl Hub {
         Ok(())
     }
 
-    /// Shows what is not in the catalog, too, in the place of those of its names.
+    /// Shows what is not in the catalog, too, in the place of what is not and is called alike.
     pub(super) fn add(&self, added: Vec<Arc<Served>>) {
         self.change_temporary(|datasets| {
+            make_room(datasets, added.iter().map(|served| &served.record));
             datasets.extend(added.into_iter().map(|served| (served.record.name.clone(), served)));
             true
         });

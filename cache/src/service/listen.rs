@@ -6,10 +6,10 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
-use hyper::Request;
 use hyper::body::Incoming;
 use hyper::server::conn::{http1, http2};
 use hyper::service::service_fn;
+use hyper::{Request, StatusCode};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use tokio::io::AsyncWriteExt as _;
 use tokio::net::{TcpListener, TcpStream};
@@ -17,7 +17,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{sleep, timeout};
 use tracing::{debug, trace};
 
-use super::answer::Answer;
+use super::answer::{self, Answer};
 use super::filed::Outbox;
 use super::hub::{Hub, stopped};
 use super::lanes::{Counted, Handed, Lane};
@@ -178,8 +178,18 @@ where
     let outbox = (!is_http2).then(|| Outbox::new(Arc::clone(&counted), counter));
     let io = TokioIo::new(Patient::new(stream, limits.stalled, outbox.clone()));
     let service = service_fn(move |request| {
-        let (asked, outbox, answer) = (watched.request(), outbox.clone(), respond(request));
-        async move { Ok::<_, Infallible>(answer.await.map(|content| content.watched(asked, outbox))) }
+        let (asked, outbox) = (watched.request(), outbox.clone());
+        let answer = (header_bytes(&request) <= HEADER_BYTES as usize).then(|| respond(request));
+        async move {
+            let answer = match answer {
+                Some(answer) => answer.await,
+                None => {
+                    let reason = format!("the header has more than {HEADER_BYTES} bytes");
+                    answer::error(StatusCode::REQUEST_HEADER_FIELDS_TOO_LARGE, reason)
+                }
+            };
+            Ok::<_, Infallible>(answer.map(|content| content.watched(asked, outbox)))
+        }
     });
     // HTTP/1.1 has a clock of its own for headers.
     let idle = is_http2.then_some(limits.header);
@@ -224,6 +234,15 @@ where
                 .serve_connection(io, service)
         )
     }
+}
+
+/// Bytes of a request's header, about as many as were sent. A connection reads more than it is to buffer if they
+/// come at once.
+fn header_bytes(request: &Request<Incoming>) -> usize {
+    const BETWEEN: usize = ": \r\n".len();
+    let line = request.uri().path_and_query().map_or(0, |path| path.as_str().len());
+    let fields = request.headers().iter();
+    fields.map(|(name, value)| name.as_str().len() + value.len() + BETWEEN).sum::<usize>() + line
 }
 
 /// Whether the client speaks HTTP/2 from its first bytes on; `None` if it says nothing.

@@ -25,6 +25,8 @@ mod hub;
 
 mod archives;
 
+mod ranges;
+
 mod public;
 
 mod stream;

@@ -1,5 +1,6 @@
 //! Pages as they are stored: read by position, proven by their checksum, kept in memory by bytes.
 
+use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::Instant;
@@ -97,8 +98,8 @@ pub(super) async fn page(hub: &Arc<Hub>, path: [&str; 5], asked: &HeaderMap) -> 
         Ok(archive) => archive,
         Err(reason) => return answer::error(StatusCode::INTERNAL_SERVER_ERROR, reason),
     };
-    let address = match (level.parse(), row.parse(), col.parse()) {
-        (Ok(level), Ok(row), Ok(col)) => PageAddress { level: Level(level), row, col },
+    let address = match (number(level), number(row), number(col)) {
+        (Some(level), Some(row), Some(col)) => PageAddress { level: Level(level), row, col },
         _ => return answer::error(StatusCode::BAD_REQUEST, "level, row and column are numbers"),
     };
     if !archive.description().grid.pyramid().contains(address) {
@@ -121,9 +122,18 @@ pub(super) async fn page(hub: &Arc<Hub>, path: [&str; 5], asked: &HeaderMap) -> 
         Err(error) => {
             hub.metrics.damaged.fetch_add(1, Relaxed);
             debug!(page = %format_args!("{name}/{level}/{row}/{col}"), error = &error as &dyn std::error::Error, "page not read");
-            answer::error(StatusCode::INTERNAL_SERVER_ERROR, in_words(&error))
+            let file = &served.record.file;
+            let reason = format!("{name}/{level}/{row}/{col} of {file}: {}", in_words(&error));
+            answer::error(StatusCode::INTERNAL_SERVER_ERROR, reason)
         }
     }
+}
+
+/// A number as it is printed: a page has one URL.
+fn number<N: FromStr>(text: &str) -> Option<N> {
+    let is_printed =
+        text.bytes().all(|byte| byte.is_ascii_digit()) && (text == "0" || !text.starts_with('0'));
+    text.parse().ok().filter(|_| is_printed)
 }
 
 fn empty() -> Answer {

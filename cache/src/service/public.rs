@@ -1,5 +1,6 @@
 //! What anybody may ask: the public listener's requests.
 
+use std::error::Error;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
@@ -12,15 +13,17 @@ use bytes::Bytes;
 use hyper::body::Incoming;
 use hyper::header::{ALLOW, CACHE_CONTROL, HeaderValue};
 use hyper::{Method, Request, StatusCode};
-use serde_json::json;
+use serde_json::{Value, json};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::mpsc;
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
+use xxhash_rust::xxh3::xxh3_64;
 
-use super::answer::{self, Answer, Content, REVALIDATE, tag, tagged};
+use super::answer::{self, Answer, Content, REVALIDATE, Refusal, tag, tagged};
 use super::hub::{Hub, stopped};
-use super::{archives, pages};
+use super::{archives, pages, ranges};
+use crate::words::in_words;
 
 /// Answers a request, or says at once that there are too many.
 ///
@@ -35,7 +38,7 @@ pub(super) async fn answer(hub: Arc<Hub>, request: Request<Incoming>) -> Answer 
     };
     let is_head = request.method() == Method::HEAD;
     let answer = if is_head || request.method() == Method::GET {
-        route(&hub, &request).await
+        ranges::cut(route(&hub, &request).await, request.headers())
     } else {
         let mut answer =
             answer::error(StatusCode::METHOD_NOT_ALLOWED, "this listener is read-only");
@@ -46,7 +49,7 @@ pub(super) async fn answer(hub: Arc<Hub>, request: Request<Incoming>) -> Answer 
         hub.metrics.failed.fetch_add(1, Relaxed);
     }
     let answer = if is_head { answer::head(answer) } else { answer };
-    // Streams of events last as long as their clients: connections are counted, too.
+    // Streams of events last as long as their clients, and are counted by themselves.
     if request.uri().path() == EVENTS {
         return answer;
     }
@@ -77,7 +80,7 @@ async fn route(hub: &Arc<Hub>, request: &Request<Incoming>) -> Answer {
         ["datasets", name] => match hub.now().datasets.get(*name) {
             Some(served) => {
                 let text = served.json.to_string();
-                let tag = tag(format_args!("{:016x}", xxhash_rust::xxh3::xxh3_64(text.as_bytes())));
+                let tag = tag(format_args!("{:016x}", xxh3_64(text.as_bytes())));
                 tagged(answer::bytes("application/json", text), asked, &tag, REVALIDATE)
             }
             None => answer::not_found(format_args!("no dataset is called {name:?}")),
@@ -86,7 +89,14 @@ async fn route(hub: &Arc<Hub>, request: &Request<Incoming>) -> Answer {
             answer::bytes("text/event-stream", Bytes::new())
         }
         ["events"] => events(hub),
-        ["height"] => height(hub, request.uri().query().unwrap_or_default()).await,
+        ["height"] => {
+            let found = height(hub, request.uri().query().unwrap_or_default()).await;
+            found.map_or_else(Refusal::answer, |found| {
+                let text = found.to_string();
+                let tag = tag(format_args!("{:016x}", xxh3_64(text.as_bytes())));
+                tagged(answer::bytes("application/json", text), asked, &tag, REVALIDATE)
+            })
+        }
         _ => answer::not_found("nothing is here"),
     }
 }
@@ -96,13 +106,17 @@ const HEART_BEAT: Duration = Duration::from_secs(15);
 
 /// `/v1/events`
 fn events(hub: &Arc<Hub>) -> Answer {
+    let Ok(place) = Arc::clone(&hub.listeners).try_acquire_owned() else {
+        hub.metrics.refused.fetch_add(1, Relaxed);
+        return answer::overloaded();
+    };
     let (sender, pieces) = mpsc::channel(4);
     let mut events = hub.events.subscribe();
     let mut stopping = hub.stopping.subscribe();
     let hello =
         format!("event: hello\ndata: {}\n\n", json!({ "generation": hub.now().generation }));
     tokio::spawn(async move {
-        let mut next = Bytes::from(hello);
+        let (_place, mut next) = (place, Bytes::from(hello));
         loop {
             if sender.send(Ok(next)).await.is_err() {
                 return;
@@ -126,20 +140,34 @@ fn events(hub: &Arc<Hub>) -> Answer {
     answer
 }
 
+/// How long a height may wait for others.
+const PATIENCE: Duration = Duration::from_millis(500);
+
 /// `/v1/height?lon=..&lat=..`
-async fn height(hub: &Arc<Hub>, query: &str) -> Answer {
+///
+/// # Cancel safety
+///
+/// Dropped while it waits for others, nothing is looked up; later, that comes to its end and is forgotten.
+async fn height(hub: &Arc<Hub>, query: &str) -> Result<Value, Refusal> {
+    let refused = |reason| Refusal::new(StatusCode::BAD_REQUEST, reason);
     let number = |name: &str| {
         let value = query.split('&').find_map(|pair| pair.strip_prefix(name)?.strip_prefix('='));
         value.and_then(|value| value.parse::<f64>().ok()).filter(|value| value.is_finite())
     };
     let (Some(lon), Some(lat)) = (number("lon"), number("lat")) else {
-        return answer::error(StatusCode::BAD_REQUEST, "expected ?lon=DEGREES&lat=DEGREES");
+        return Err(refused("expected ?lon=DEGREES&lat=DEGREES"));
     };
     if !(-90.0..=90.0).contains(&lat) {
-        return answer::error(StatusCode::BAD_REQUEST, "latitudes are -90 to 90");
+        return Err(refused("latitudes are -90 to 90"));
     }
+    let Ok(Ok(place)) = timeout(PATIENCE, Arc::clone(&hub.heights).acquire_owned()).await else {
+        hub.metrics.refused.fetch_add(1, Relaxed);
+        let reason = "too many heights are looked up";
+        return Err(Refusal::new(StatusCode::SERVICE_UNAVAILABLE, reason));
+    };
     let now = hub.now();
     let found = spawn_blocking(move || {
+        let _place = place;
         let position = Geographic::from_degrees(Degrees(lon % 360.0), Degrees(lat));
         let served: Vec<_> =
             now.datasets.values().filter(|served| served.archive.is_ok()).collect();
@@ -155,9 +183,41 @@ async fn height(hub: &Arc<Hub>, query: &str) -> Answer {
             "datasets": found.iter().flat_map(|found| &found.datasets).map(name).collect::<Vec<_>>(),
         }))
     });
-    match found.await {
-        Ok(Ok(value)) => answer::value(&value),
-        Ok(Err(error)) => answer::error(StatusCode::INTERNAL_SERVER_ERROR, error),
-        Err(error) => answer::error(StatusCode::INTERNAL_SERVER_ERROR, error),
+    let failed =
+        |reason: &dyn Error| Refusal::new(StatusCode::INTERNAL_SERVER_ERROR, in_words(reason));
+    found.await.map_err(|error| failed(&error))?.map_err(|error| failed(&error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::service::Limits;
+    use crate::tests::globe_in_a_catalog;
+
+    #[tokio::test(start_paused = true)]
+    async fn heights_that_wait_too_long_and_listeners_too_many_are_told_so() {
+        let folder = globe_in_a_catalog();
+        let hub = Hub::open(folder.path(), 1 << 20, Limits { connections: 2, ..Limits::default() });
+        let hub = Arc::new(hub.unwrap());
+        let ask = || height(&hub, "lon=10&lat=20");
+        let found = ask().await.unwrap();
+        assert!(found["height_m"].is_number(), "{found}");
+        let all = u32::try_from(hub.heights.available_permits()).unwrap();
+        let taken = Arc::clone(&hub.heights).acquire_many_owned(all).await.unwrap();
+        let refused = ask().await.unwrap_err().answer();
+        assert_eq!(refused.status(), StatusCode::SERVICE_UNAVAILABLE);
+        assert_eq!(refused.headers()["retry-after"], "1");
+        drop(taken);
+        assert_eq!(ask().await.unwrap(), found);
+
+        let listen = || (0..3).map(|_| events(&hub)).collect::<Vec<_>>();
+        let answers = listen();
+        let statuses = answers.iter().map(|answer| answer.status().as_u16()).collect::<Vec<_>>();
+        assert_eq!(statuses, [200, 200, 503]);
+        drop(answers);
+        while hub.listeners.available_permits() < 2 {
+            tokio::task::yield_now().await;
+        }
+        assert!(listen()[1].status().is_success());
     }
 }

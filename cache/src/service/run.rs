@@ -12,8 +12,8 @@ use tokio::time::{sleep, timeout};
 use tracing::{info, warn};
 
 use super::admin::{self, Gate};
-use super::cores::{Cores, keep};
-use super::hub::{Hub, stopped};
+use super::cores::Core;
+use super::hub::{HEIGHTS, Hub, stopped};
 use super::lanes::Lane;
 use super::listen::accept;
 use super::options::{Options, ServiceError};
@@ -25,8 +25,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(400);
 /// Connections of the admin listener.
 const ADMIN_CONNECTIONS: usize = 64;
 
-/// Reads that wait for a disk, on each thread that answers.
-const READS: usize = 8;
+/// Reads that wait for a disk, on each thread that answers; heights take no other's place.
+const READS: usize = 8 + HEIGHTS;
 
 /// A service that runs.
 ///
@@ -53,9 +53,9 @@ impl Service {
             .as_ref()
             .map(|admin| Gate::open(admin, options.limits.insertions))
             .transpose()?;
-        crate::insertion::sweep_temporary(&options.folder);
+        crate::insertion::sweep(&options.folder);
         let limits = options.limits;
-        let hub = Hub::open(&options.folder, options.memory_bytes, limits.requests)?;
+        let hub = Hub::open(&options.folder, options.memory_bytes, limits)?;
         let hub = Arc::new(hub);
         let listener = bind(options.listen)?;
         let listens = |source| ServiceError::Listen { address: options.listen, source };
@@ -79,16 +79,17 @@ impl Service {
         places: &Arc<Semaphore>,
     ) -> Result<(), ServiceError> {
         let limits = options.limits;
-        let cores = || thread::available_parallelism().map_or(1, usize::from);
-        let threads = options.threads.unwrap_or_else(cores).max(1);
-        let cores = Cores::one_each(threads);
+        let one_a_core = || thread::available_parallelism().map_or(1, usize::from);
+        let threads = options.threads.unwrap_or_else(one_a_core).max(1);
+        let mut cores = Core::one_each(threads).into_iter();
         for (number, lane) in Lane::all(threads).into_iter().enumerate() {
             let listener = listener.try_clone().map_err(ServiceError::Threads)?;
             let (hub, places) = (Arc::clone(&self.hub), Arc::clone(places));
-            let runtime = runtime(READS, cores)?;
+            let core = cores.next();
+            let runtime = runtime(READS, core.clone())?;
             self.spawn(format!("areoid-http-{number}"), runtime, async move {
-                if let Some(cores) = cores {
-                    tokio::spawn(keep(cores, number, hub.inserting.subscribe()));
+                if let Some(core) = core {
+                    tokio::spawn(core.keep(hub.inserting.subscribe()));
                 }
                 let Ok(listener) = tokio::net::TcpListener::from_std(listener) else { return };
                 let asked = Arc::clone(&hub);
@@ -260,11 +261,11 @@ fn bind(address: SocketAddr) -> Result<TcpListener, ServiceError> {
     listener.map_err(|source| ServiceError::Listen { address, source })
 }
 
-/// Threads that may wait go to any core, wherever the one that answers is kept.
-fn runtime(blocking: usize, cores: Option<Cores>) -> Result<Runtime, ServiceError> {
+/// Threads that may wait go where the one that answers may, while it keeps to its core.
+fn runtime(blocking: usize, core: Option<Core>) -> Result<Runtime, ServiceError> {
     let mut builder = Builder::new_current_thread();
-    if let Some(cores) = cores {
-        builder.on_thread_start(move || cores.leave());
+    if let Some(core) = core {
+        builder.on_thread_start(move || core.leave());
     }
     let runtime = builder.enable_all().max_blocking_threads(blocking).build();
     runtime.map_err(ServiceError::Threads)

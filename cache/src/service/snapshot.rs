@@ -1,6 +1,6 @@
 //! What the service shows at one moment: readers hold one snapshot or the next, never a mixture.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
@@ -72,6 +72,24 @@ pub(super) struct Snapshot {
     pub(super) tag: HeaderValue,
 }
 
+/// Takes away what is temporary and what a user could mean by the name of something that comes, a group as a
+/// whole.
+pub(super) fn make_room<'a>(
+    datasets: &mut BTreeMap<String, Arc<Served>>,
+    coming: impl Iterator<Item = &'a DatasetRecord>,
+) {
+    let names: HashSet<&str> =
+        coming.flat_map(|record| [record.name.as_str(), record.called()]).collect();
+    let goes = |record: &DatasetRecord| {
+        names.contains(record.name.as_str()) || names.contains(record.called())
+    };
+    let temporary =
+        datasets.values().filter(|served| served.temporary).map(|served| &served.record);
+    let gone: HashSet<String> =
+        temporary.filter(|record| goes(record)).map(|record| record.called().to_owned()).collect();
+    datasets.retain(|_, served| !(served.temporary && gone.contains(served.record.called())));
+}
+
 impl Snapshot {
     pub(super) fn new(
         generation: u64,
@@ -119,10 +137,10 @@ impl Snapshot {
                 continue;
             }
             // What is temporary stays, but where the catalog has taken its name.
-            let temporary = before.iter().flat_map(|before| before.datasets.values());
-            for served in temporary.filter(|served| served.temporary) {
-                datasets.entry(served.record.name.clone()).or_insert_with(|| Arc::clone(served));
-            }
+            let mut temporary = before.map_or_else(BTreeMap::new, |before| before.datasets.clone());
+            temporary.retain(|_, served| served.temporary);
+            make_room(&mut temporary, catalog.datasets().iter());
+            datasets.append(&mut temporary);
             return Ok(Self::new(catalog.generation(), catalog.body().clone(), datasets));
         }
     }

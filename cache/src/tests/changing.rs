@@ -128,6 +128,35 @@ fn a_change_is_shown_within_its_time() {
     assert_eq!(session.settle(&near).pages.len(), before.pages.len());
 }
 
+/// In one step, and in the place of one dataset that is called alike; and so the other way about.
+#[test]
+fn the_parts_of_a_group_come_and_go_together() {
+    let globe = Gated::new("globe", globe(), Kind::Height);
+    let cache = globe.cache(PLENTY, 2);
+    let part = |part: &str| {
+        let name = format!("cap.{part}");
+        let one = Gated::new("cap", cap(), Kind::Height);
+        let info = DatasetInfo { name, group: Some("cap".to_owned()), ..one.info.clone() };
+        (info, Arc::clone(&one.archive) as Arc<dyn PageSource>)
+    };
+    let one = Gated::new("cap", cap(), Kind::Height);
+    let names = || {
+        let datasets = cache.datasets();
+        datasets.iter().map(|(_, info)| info.name.clone()).collect::<Vec<_>>()
+    };
+    let session = cache.session();
+    cache.insert_all([part("north"), part("south")]).unwrap();
+    assert_eq!(names(), ["globe", "cap.north", "cap.south"]);
+    cache.insert(one.info.clone(), Arc::clone(&one.archive) as _).unwrap();
+    assert_eq!(names(), ["globe", "cap"]);
+    cache.insert_all([part("north"), part("south")]).unwrap();
+    assert_eq!(names(), ["globe", "cap.north", "cap.south"]);
+    cache.insert_all([part("band")]).unwrap();
+    assert_eq!(names(), ["globe", "cap.band"]);
+    assert!(session.has_news() && cache.remove("cap") && !cache.remove("cap"));
+    assert_eq!(names(), ["globe"]);
+}
+
 #[test]
 fn a_removed_dataset_is_gone_and_its_memory_free() {
     let (globe, cap) =

@@ -101,29 +101,38 @@ fn a_coarser_view_beside_a_finer_one_stays_coarse() {
 /// A steady flight at sixty frames a second: most pages are there when they are first needed.
 #[test]
 fn a_steady_flight_is_looked_ahead_of() {
-    let residents = [false, true].map(|ahead| {
-        let globe = Gated::new("globe", fine_globe(), Kind::Height);
-        let cache = globe.cache(PLENTY, 2);
-        let mut session = cache.session();
-        session.look_ahead = ahead;
-        let at = |turn: f64| View { tolerance_px: 0.1, ..view(turn, 20.0, 2e5, 45.0) };
-        session.settle(&at(0.0));
-        let before = cache.stats();
-        let (start, frame) = (Instant::now(), Duration::from_micros(16_667));
-        for step in 0..120_u32 {
-            session.update(&at(0.2 * f64::from(step)));
-            // Loads have until the next frame, however slow the machine.
-            while start.elapsed() < frame * (step + 1) || cache.stats().reserved_bytes > 0 {
-                std::thread::yield_now();
-            }
+    // With one eye, or two.
+    for eyes in [&[0.0][..], &[0.0, 1.0]] {
+        let residents = [false, true].map(|ahead| residents(eyes, ahead));
+        assert!(residents[1] >= 0.8 && residents[0] < 0.5, "{residents:?}");
+    }
+}
+
+/// How many of the pages first needed were there.
+fn residents(eyes: &[f64], ahead: bool) -> f64 {
+    let globe = Gated::new("globe", fine_globe(), Kind::Height);
+    let cache = globe.cache(PLENTY, 2);
+    let mut session = cache.session();
+    session.look_ahead = ahead;
+    let at = |turn: f64| View { tolerance_px: 0.1, ..view(turn, 20.0, 2e5, 45.0) };
+    let all = |turn: f64| eyes.iter().map(|eye| at(turn + eye)).collect::<Vec<_>>();
+    while session.update_all(&all(0.0)).missing > 0 {
+        std::thread::yield_now();
+    }
+    let before = cache.stats();
+    let (start, frame) = (Instant::now(), Duration::from_micros(16_667));
+    for step in 0..120_u32 {
+        session.update_all(&all(0.2 * f64::from(step)));
+        // Loads have until the next frame, however slow the machine.
+        while start.elapsed() < frame * (step + 1) || cache.stats().reserved_bytes > 0 {
+            std::thread::yield_now();
         }
-        let stats = cache.stats();
-        assert!(ahead == (stats.ahead > 0), "{stats:?}");
-        let first = stats.first_wanted - before.first_wanted;
-        assert!(first > 10, "{stats:?}");
-        (stats.first_resident - before.first_resident) as f64 / first as f64
-    });
-    assert!(residents[1] >= 0.8 && residents[0] < 0.5, "{residents:?}");
+    }
+    let stats = cache.stats();
+    assert!(ahead == (stats.ahead > 0), "{stats:?}");
+    let first = stats.first_wanted - before.first_wanted;
+    assert!(first > 10, "{stats:?}");
+    (stats.first_resident - before.first_resident) as f64 / first as f64
 }
 
 /// What lies further ahead is told to the medium, each page once, before it is read.

@@ -39,6 +39,12 @@ fn publish(folder: &Path, name: &str, grid: Grid, priority: i32) {
     publish_build(build, dataset).unwrap();
 }
 
+pub(crate) fn globe_in_a_catalog() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    publish(folder.path(), "globe", globe(), 0);
+    folder
+}
+
 /// Two datasets, then the archive of one is cut, and damaged beyond reading: the other still opens, and
 /// what has happened is told.
 #[test]

@@ -195,7 +195,11 @@ impl Manifest {
 }
 
 /// Refuses names that are not plain file names on every system.
-pub(super) fn check_name(name: &str) -> Result<(), CatalogError> {
+///
+/// # Errors
+///
+/// [`CatalogError::Name`].
+pub fn check_name(name: &str) -> Result<(), CatalogError> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     let plain = (1..=100).contains(&name.len())
         && name.chars().all(allowed)

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 pub use build::Build;
 pub use disk::{Disk, RealDisk};
 pub use error::CatalogError;
-pub use manifest::{DatasetRecord, Manifest};
+pub use manifest::{DatasetRecord, Manifest, check_name};
 pub use publish::{
     Existing, Finished, NewDataset, publish_archives, publish_build, publish_builds, publish_stray,
     remove_dataset,

@@ -87,7 +87,15 @@ impl ByteSource for FileSource {
 
 #[cfg(unix)]
 fn read_exact_at(file: &File, buffer: &mut [u8], offset: u64) -> io::Result<()> {
-    std::os::unix::fs::FileExt::read_exact_at(file, buffer, offset)
+    let end = offset.saturating_add(buffer.len() as u64);
+    std::os::unix::fs::FileExt::read_exact_at(file, buffer, offset).map_err(|error| {
+        match error.kind() {
+            io::ErrorKind::UnexpectedEof => {
+                io::Error::new(error.kind(), format!("the file ends before byte {end}"))
+            }
+            _ => error,
+        }
+    })
 }
 
 #[cfg(windows)]

@@ -1,12 +1,17 @@
 //! What an update costs the thread that draws, while all else goes on.
 
-use std::process::{Command, Stdio};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use areoid_cache::insertion::{self, InsertError, Lifetime};
+use areoid_cache::insertion_request::InsertRequest;
 use areoid_cache::{Cache, Options};
+use areoid_formats::body::Body;
+use areoid_preprocess::build::Proceed;
+use areoid_preprocess::ingest::Request;
 use serde_json::json;
 
 use super::Setting;
@@ -14,6 +19,7 @@ use super::flights::flights;
 use super::patches::{Patch, patch, patches};
 use super::planet::body;
 use super::replay::{WINDOW, fly};
+use crate::bench::rasters::{Look, Recipe};
 use crate::bench::report::{Chapter, Relation, Table, Target, quantile};
 use crate::failure::Failure;
 
@@ -22,7 +28,8 @@ const DATASETS: u32 = 10_000;
 /// Milliseconds of the thread, at the 99th percentile.
 const LIMIT_MS: f64 = 1.0;
 
-pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
+pub(super) fn measure(setting: Setting, folder: &Path) -> Result<Chapter, Failure> {
+    let busy = Busy::new(&folder.join("work").join("frame"))?;
     let delay = Duration::from_millis(20);
     let count = setting.count(DATASETS);
     let all = patches(count, delay)?;
@@ -37,7 +44,7 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
         let mut session = cache.session();
         let (mut took_ms, mut visited, mut seen, mut wanted) = (Vec::new(), 0, 0, 0);
         let before = cache.stats();
-        let changes = beside(&cache, count, delay, || {
+        let [changes, insertions] = beside(&cache, count, delay, &busy, || {
             fly(&named.flight, WINDOW, &mut session, |_, selection, took| {
                 took_ms.push(took.as_secs_f64() * 1e3);
                 visited += selection.visited;
@@ -61,6 +68,7 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
             format!("{:.2}", visited as f64 / seen.max(1) as f64),
             (stats.repeated - before.repeated).to_string(),
             changes.to_string(),
+            insertions.to_string(),
         ]);
         data.push(json!({
             "flight": named.name,
@@ -70,6 +78,7 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
             "visited": visited as f64 / frames as f64,
             "repeated": stats.repeated - before.repeated,
             "changes": changes,
+            "insertions": insertions,
         }));
     }
     let head = vec![
@@ -83,6 +92,7 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
         "over least",
         "repeated",
         "changes",
+        "ingests",
     ];
     let title = format!(
         "Updates of a view of {count} datasets and {:.1} million pages",
@@ -94,7 +104,8 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
         notes: vec![
             "Sixty updates a second in real time, in milliseconds of the processor time of the thread \
              that makes them, while up to 64 loads of 20 ms each are under way, datasets come and go \
-             ten times a second, and a process of the least priority keeps all processors busy. \
+             ten times a second, and a raster is inserted into a catalog over and over, with the \
+             priority that insertions have. \
              *Visited* are nodes of the tree over the datasets and pages; the least is the wanted \
              pages and those that had to be looked at to be left out. *Repeated* updates found the \
              tables in use and answered as the one before."
@@ -111,23 +122,52 @@ pub(super) fn measure(setting: Setting) -> Result<Chapter, Failure> {
     })
 }
 
-/// Does something while datasets come and go and processors are busy; how many changes there were.
-fn beside(cache: &Cache, count: u32, delay: Duration, job: impl FnOnce()) -> Result<u64, Failure> {
+/// Width of the raster that is inserted meanwhile.
+const WIDTH: u32 = 4096;
+
+/// What keeps the processors busy.
+struct Busy {
+    request: Request,
+    body: Body,
+}
+
+impl Busy {
+    fn new(folder: &Path) -> Result<Self, Failure> {
+        let raster = Recipe::tiled(Look::Height, (WIDTH, WIDTH / 2)).make(folder)?;
+        let asked = json!({ "rasters": [raster], "name": "busy", "force": true });
+        let asked: InsertRequest = serde_json::from_value(asked)?;
+        let request = asked.request(folder.join("catalog"));
+        let request = request.map_err(|reason| Failure::Failed(reason.into()))?;
+        Ok(Self { request, body: body() })
+    }
+
+    /// Inserts over and over; how often.
+    fn insert(&self, done: &AtomicBool) -> Result<u64, InsertError> {
+        let mut count = 0;
+        while !done.load(Relaxed) {
+            let watch = |_| if done.load(Relaxed) { Proceed::No } else { Proceed::Yes };
+            match insertion::insert(self.request.clone(), Lifetime::Kept, &self.body, watch) {
+                Ok(_) => count += 1,
+                Err(_) if done.load(Relaxed) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(count)
+    }
+}
+
+/// Does something while datasets come and go and a raster is inserted; how many changes there were, and insertions.
+fn beside(
+    cache: &Cache,
+    count: u32,
+    delay: Duration,
+    busy: &Busy,
+    job: impl FnOnce(),
+) -> Result<[u64; 2], Failure> {
     let extra: Vec<Arc<Patch>> = (0..10)
         .map(|number| patch(997 * number + 13, count + 7919, delay))
         .collect::<Result<_, _>>()?;
     let (done, changes) = (AtomicBool::new(false), AtomicU64::new(0));
-    // What an ingest is to the system: threads that never rest, of the least priority.
-    let mut busy = Vec::new();
-    for _ in 0..crate::bench::report::cores() {
-        let spin = Command::new("nice")
-            .args(["-n", "19", "sh", "-c", "while :; do :; done"])
-            .stdin(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn();
-        // Without `nice` it goes without.
-        busy.extend(spin.ok());
-    }
     thread::scope(|scope| {
         let named = thread::Builder::new().name("changes".to_owned());
         let spawned = named.spawn_scoped(scope, || {
@@ -148,13 +188,14 @@ fn beside(cache: &Cache, count: u32, delay: Duration, job: impl FnOnce()) -> Res
                 thread::sleep(next.saturating_sub(start.elapsed()));
             }
         });
+        let inserting = scope.spawn(|| busy.insert(&done));
         job();
         done.store(true, Relaxed);
-        spawned.map(|_| ())
-    })?;
-    for mut busy in busy {
-        busy.kill()?;
-        busy.wait()?;
-    }
-    Ok(changes.into_inner())
+        spawned?;
+        let panicked = |_| Failure::Failed("the insertion panicked".into());
+        Ok([
+            changes.load(Relaxed),
+            inserting.join().map_err(panicked)?.map_err(|error| Failure::Failed(error.into()))?,
+        ])
+    })
 }

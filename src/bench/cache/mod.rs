@@ -135,7 +135,7 @@ impl Args {
         for chapter in wanted {
             output::say(format!("{chapter:?} ..").to_lowercase());
             chapters.push(match chapter {
-                ChapterArg::Frame => frame::measure(setting)?,
+                ChapterArg::Frame => frame::measure(setting, &self.output)?,
                 ChapterArg::Skipping => skipping::measure(setting)?,
                 ChapterArg::Ahead => ahead::measure(setting)?,
                 ChapterArg::Budget => budget::measure(setting)?,
