@@ -143,7 +143,7 @@ impl Air {
 
     /// Height above the sphere at a distance along a ray whose direction has `cosine` with up:
     /// √(a² + 2 a t cosine + t²) − R with a = R + h, without subtracting large numbers.
-    fn height_m(&self, cosine: f64, t: f64) -> f64 {
+    pub(crate) fn height_m(&self, cosine: f64, t: f64) -> f64 {
         let (radius, eye) = (self.radius_m, self.eye_m);
         let above = eye * (2.0 * radius + eye) + t * (2.0 * (radius + eye) * cosine + t);
         above / ((radius * radius + above).max(0.0).sqrt() + radius)
@@ -236,7 +236,7 @@ impl Air {
 
 /// Chapman's function for a cosine of 0 or more: the air along a ray from `x` scale heights from the
 /// center, over that straight up.
-fn chapman(x: f64, cosine: f64) -> f64 {
+pub(crate) fn chapman(x: f64, cosine: f64) -> f64 {
     let y = (0.5 * x).sqrt() * cosine;
     // exp(y²) erfc(y).
     let erfcx = if y > 8.0 {

@@ -191,6 +191,8 @@ mod layer;
 
 mod pops;
 
+mod functions;
+
 mod reference;
 
 mod twins;

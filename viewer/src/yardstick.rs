@@ -11,7 +11,7 @@ pub struct Yardstick {
     picture: wgpu::TextureView,
 }
 
-const SHADER: &str = include_str!("shader/yardstick.wgsl");
+pub(crate) const SHADER: &str = include_str!("shader/yardstick.wgsl");
 
 impl Yardstick {
     /// A pass over a picture of some pixels.

@@ -154,36 +154,30 @@ impl Window {
 }
 
 #[cfg(test)]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "small numbers that are not below 0"
+)]
 mod tests {
-    use super::*;
+    use areoid_formats::body::Ellipsoid;
+    use areoid_formats::grid::Outline;
+    use areoid_formats::page::Kind;
+    use areoid_formats::projection::{Crs, Projection};
     use areoid_formats::pyramid::{Extent, PoleContact};
-    use proptest::prelude::*;
+    use bytemuck::{Pod, Zeroable};
+
+    use super::*;
+    use crate::map::DatasetMap;
+    use crate::render::testing::{Given, compute};
+    use crate::shader::SURFACE;
+    use crate::style::Style;
+    use crate::testing::{Random, dataset, gpu};
 
     fn globe() -> Pyramid {
         let (north, south) = (PoleContact::Outline, PoleContact::Outline);
         let extent = Extent { width: 1920, height: 960, wraps: true, north, south };
         Pyramid::new(extent, 32).unwrap()
-    }
-
-    /// The shader's search, word for word.
-    fn find(table: &[i32], first_window: usize, pyramid: &Pyramid, page: PageAddress) -> u32 {
-        let mut asked = Some(page);
-        while let Some(page) = asked {
-            let header = first_window + WINDOW_LEN * usize::from(page.level.0);
-            let cols = narrow(pyramid.pages(page.level).unwrap().1);
-            let row = narrow(page.row) - table[header];
-            let mut col = narrow(page.col) - table[header + 1];
-            if col < 0 && pyramid.extent().wraps {
-                col += cols;
-            }
-            let within = (0..table[header + 2]).contains(&row);
-            if within && (0..table[header + 3]).contains(&col) {
-                let at = table[header + 4] + row * table[header + 3] + col;
-                return table[usize::try_from(at).unwrap()].cast_unsigned();
-            }
-            asked = page.parent();
-        }
-        0
     }
 
     #[test]
@@ -202,39 +196,129 @@ mod tests {
         assert_eq!(window, Window { row: 3, col: cols - 1, rows: 2, cols: 4 });
     }
 
-    proptest! {
-        #[test]
-        fn every_place_leads_to_its_finest_ancestor(
-            picks in prop::collection::vec((0..8_u8, any::<u32>(), any::<u32>()), 0..40),
-            level in 0..8_u8, row in any::<u32>(), col in any::<u32>(),
-        ) {
-            let pyramid = globe();
-            let place = |level: u8, row: u32, col: u32| {
-                let level = Level(level.min(pyramid.finest().0));
-                let (rows, cols) = pyramid.pages(level).unwrap();
-                PageAddress::new(level, row % rows, col % cols)
-            };
-            let mut pages: Vec<_> = picks.iter().map(|&(l, r, c)| place(l, r, c)).collect();
-            pages.sort();
-            pages.dedup();
-            let shown: Vec<Shown> = (0..).zip(&pages)
-                .map(|(slot, &page)| {
-                    Shown { page, slot, gray: false, whole: slot % 2 == 0, presence: 7 }
+    /// A question to `find_page` and its answer.
+    #[repr(C)]
+    #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+    struct Probe {
+        texel: [i32; 2],
+        fraction: [f32; 2],
+        tap: [i32; 2],
+        t: [f32; 2],
+        level: i32,
+        entry: u32,
+    }
+
+    const PROBE: &str = "
+struct Probe { texel: vec2i, fraction: vec2f, tap: vec2i, t: vec2f, level: i32, entry: u32 }
+@group(1) @binding(0) var<storage, read_write> probes: array<Probe>;
+@compute @workgroup_size(64)
+fn probe(@builtin(global_invocation_id) id: vec3u) {
+    if id.x >= arrayLength(&probes) { return; }
+    let asked = probes[id.x];
+    let found = find_page(dataset_list[0], MapPoint(asked.texel, asked.fraction, true), asked.level);
+    probes[id.x].entry = found.entry;
+    probes[id.x].tap = found.tap;
+    probes[id.x].t = found.t;
+}
+";
+
+    /// What `find_page` is to find, by looking at every page.
+    fn expected(pyramid: &Pyramid, shown: &[Shown], roots: &[Shown], probe: &Probe) -> Probe {
+        let side = pyramid.interior();
+        let halvings = |level: Level| u32::from(pyramid.finest().0 - level.0);
+        let page_at = |level: Level| {
+            let (rows, cols) = pyramid.pages(level).unwrap();
+            let [col, row] =
+                probe.texel.map(|texel| (texel.unsigned_abs() >> halvings(level)) / side);
+            PageAddress::new(level, row.min(rows - 1), col.min(cols - 1))
+        };
+        let at = |level: Level| shown.iter().find(|shown| shown.page == page_at(level));
+        let asked = Level(u8::try_from(probe.level).unwrap());
+        let mut coarser = (0..=asked.0).rev().map(Level);
+        let mut finer = (asked.0 + 1..=pyramid.finest().0).map(Level);
+        let root = || roots.iter().find(|root| root.page == page_at(Level(0)));
+        let Some(found) = coarser.find_map(at).or_else(|| finer.find_map(at)).or_else(root) else {
+            return Probe { tap: [0; 2], t: [0.0; 2], entry: 0, ..*probe };
+        };
+        let scale = f64::from(1 << halvings(found.page.level));
+        let (mut tap, mut t) = ([0; 2], [0.0; 2]);
+        for (axis, number) in [found.page.col, found.page.row].into_iter().enumerate() {
+            let texel = f64::from(probe.texel[axis]) + f64::from(probe.fraction[axis]);
+            // The border puts the center of the first texel at 1.
+            let place = texel / scale - f64::from(number * side) + 0.5;
+            let whole = place.floor().clamp(0.0, f64::from(side));
+            (tap[axis], t[axis]) = (whole as i32, (place - whole) as f32);
+        }
+        Probe { tap, t, entry: entry(found), ..*probe }
+    }
+
+    #[test]
+    fn the_shader_finds_the_page_that_shows_a_place() {
+        let body = Ellipsoid::WGS84;
+        let degrees = Crs::new(Projection::Geographic, body);
+        let outline =
+            Outline { origin: [-180.0, 90.0], pixel_size: [0.1875; 2], width: 1920, height: 960 };
+        let info = dataset("globe", Kind::Height, degrees, outline, 32, 0);
+        let pyramid = info.grid.pyramid();
+        let finest = pyramid.finest();
+        let mut random = Random(0x7ab1e);
+        let mut below = |count: u32| (random.next() * f64::from(count)) as u32;
+        let [mut nothing, mut by_root, mut by_finer] = [0; 3];
+        for round in 0..60 {
+            let mut pages: Vec<PageAddress> = (0..below(40))
+                .map(|_| {
+                    // Sometimes fine ones alone.
+                    let coarsest = if round % 3 == 0 { finest.0 - 2 } else { 0 };
+                    let level = Level(coarsest + below(u32::from(finest.0 - coarsest) + 1) as u8);
+                    let (rows, cols) = pyramid.pages(level).unwrap();
+                    PageAddress::new(level, below(rows), below(cols))
                 })
                 .collect();
-            let mut table = vec![7; 3];
-            let first = append(&mut table, &pyramid, &shown, &[]).first.unsigned_abs() as usize;
-
-            let asked = place(level, row, col);
-            let mut ancestor = Some(asked);
-            let expected = loop {
-                let Some(page) = ancestor else { break 0 };
-                if let Some(shown) = shown.iter().find(|shown| shown.page == page) {
-                    break entry(shown);
-                }
-                ancestor = page.parent();
+            pages.sort();
+            pages.dedup();
+            let shown = |(slot, page): (u32, &PageAddress)| {
+                let (gray, whole) = (slot.is_multiple_of(5), slot.is_multiple_of(2));
+                Shown { page: *page, slot, gray, whole, presence: 7 }
             };
-            prop_assert_eq!(find(&table, first, &pyramid, asked), expected);
+            let shown: Vec<Shown> = (0..).zip(&pages).map(shown).collect();
+            let (rows, cols) = pyramid.pages(Level(0)).unwrap();
+            let all = (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col)));
+            let root = |(row, col)| Shown {
+                page: PageAddress::new(Level(0), row, col),
+                slot: 1000 + row * cols + col,
+                gray: false,
+                whole: true,
+                presence: PRESENT,
+            };
+            let roots: Vec<Shown> =
+                if round % 2 == 0 { all.map(root).collect() } else { Vec::new() };
+            let mut table = vec![7; 3];
+            let windows = append(&mut table, pyramid, &shown, &roots);
+            let part = Style::default().part("globe", Kind::Height, 0);
+            let datasets = [DatasetMap::new(&info).mirrored(&windows, &part)];
+            let asked: Vec<Probe> = (0..500)
+                .map(|_| Probe {
+                    texel: [below(1920), below(960)].map(u32::cast_signed),
+                    fraction: [(); 2].map(|()| below(1 << 10) as f32 / 1024.0),
+                    level: below(u32::from(finest.0) + 1).cast_signed(),
+                    ..Zeroable::zeroed()
+                })
+                .collect();
+            let source = [SURFACE, &[PROBE]].concat().join("\n");
+            let given = Given { datasets: &datasets, table: &table, ..Given::default() };
+            let found: Vec<Probe> = compute(gpu(), &source, given, &asked);
+            for (found, asked) in found.iter().zip(&asked) {
+                let expected = expected(pyramid, &shown, &roots, asked);
+                let off = |axis: usize| (found.t[axis] - expected.t[axis]).abs();
+                assert!(off(0) < 1e-5 && off(1) < 1e-5, "{found:?}, {expected:?}");
+                assert_eq!(Probe { t: expected.t, ..*found }, expected, "{pages:?}");
+                nothing += u32::from(found.entry == 0);
+                by_root += u32::from(found.entry & 0x7fff >= 1000);
+                by_finer += u32::from(
+                    found.entry != 0 && (found.entry >> 16 & 0xff) > found.level.cast_unsigned(),
+                );
+            }
         }
+        assert!(nothing > 100 && by_root > 100 && by_finer > 100, "{nothing} {by_root} {by_finer}");
     }
 }

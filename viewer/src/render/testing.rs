@@ -1,36 +1,76 @@
 //! Runs a compute shader over questions, for tests.
 
-use bytemuck::Pod;
+use bytemuck::{Pod, Zeroable as _};
 
 use super::targets::read_buffer;
 use crate::gpu::Gpu;
 use crate::mirror;
 
-/// The answers of the entry point `probe`: `group(0)` has the scene, datasets and anchors at their
-/// places, `group(1)` the questions, which it overwrites.
+/// What stands at the places of `group(0)`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Given<'a> {
+    pub(crate) scene: mirror::Scene,
+    pub(crate) datasets: &'a [mirror::Dataset],
+    pub(crate) anchors: &'a [mirror::Anchor],
+    pub(crate) table: &'a [i32],
+    pub(crate) air: mirror::Atmosphere,
+}
+
+impl Default for Given<'_> {
+    fn default() -> Self {
+        let (scene, air) = (mirror::Scene::zeroed(), mirror::Atmosphere::zeroed());
+        Self { scene, datasets: &[], anchors: &[], table: &[], air }
+    }
+}
+
+/// Whether the entry point `probe` uses what `group(0)` has at a binding.
+fn uses(source: &str) -> impl Fn(u32) -> bool {
+    let module = naga::front::wgsl::parse_str(source)
+        .unwrap_or_else(|error| panic!("{}", error.emit_to_string(source)));
+    let (flags, capabilities) =
+        (naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
+    let info = naga::valid::Validator::new(flags, capabilities).validate(&module).unwrap();
+    let place = module.entry_points.iter().position(|entry| entry.name == "probe").unwrap();
+    move |binding| {
+        let mut globals = module.global_variables.iter();
+        globals.any(|(handle, global)| {
+            let is_there = global.binding.is_some_and(|at| (at.group, at.binding) == (0, binding));
+            is_there && !info.get_entry_point(place)[handle].is_empty()
+        })
+    }
+}
+
+/// The answers of the entry point `probe`: `group(0)` has what is given, `group(1)` the questions, which it
+/// overwrites.
 pub(crate) fn compute<T: Pod>(
     gpu: &Gpu,
     source: &str,
-    scene: &mirror::Scene,
-    datasets: &[mirror::Dataset],
-    anchors: &[mirror::Anchor],
+    given: Given<'_>,
     questions: &[T],
 ) -> Vec<T> {
-    let buffer = |label, bytes: &[u8], usage| {
+    let buffer = |label, bytes: &[u8]| {
         let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
             size: bytes.len() as u64,
-            usage: usage | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC,
+            usage: wgpu::BufferUsages::STORAGE
+                | wgpu::BufferUsages::COPY_DST
+                | wgpu::BufferUsages::COPY_SRC,
             mapped_at_creation: false,
         });
         gpu.queue.write_buffer(&buffer, 0, bytes);
         buffer
     };
-    let storage = wgpu::BufferUsages::STORAGE;
-    let scene = buffer("scene", bytemuck::bytes_of(scene), storage);
-    let datasets = buffer("datasets", bytemuck::cast_slice(datasets), storage);
-    let anchors = buffer("anchors", bytemuck::cast_slice(anchors), storage);
-    let probes = buffer("questions", bytemuck::cast_slice(questions), storage);
+    let all: [(u32, &[u8]); 5] = [
+        (0, bytemuck::bytes_of(&given.scene)),
+        (2, bytemuck::cast_slice(given.datasets)),
+        (3, bytemuck::cast_slice(given.anchors)),
+        (4, bytemuck::cast_slice(given.table)),
+        (7, bytemuck::bytes_of(&given.air)),
+    ];
+    let is_used = uses(source);
+    let given = all.iter().filter(|(binding, _)| is_used(*binding));
+    let given = given.map(|&(binding, bytes)| (binding, buffer("given", bytes))).collect();
+    let probes = buffer("questions", bytemuck::cast_slice(questions));
 
     let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some("probe"),
@@ -44,9 +84,7 @@ pub(crate) fn compute<T: Pod>(
         compilation_options: wgpu::PipelineCompilationOptions::default(),
         cache: None,
     });
-    let entry = |binding, buffer: &wgpu::Buffer| (binding, buffer.clone());
-    let groups =
-        [vec![entry(0, &scene), entry(2, &datasets), entry(3, &anchors)], vec![entry(0, &probes)]];
+    let groups: [Vec<(u32, wgpu::Buffer)>; 2] = [given, vec![(0, probes.clone())]];
     let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
     {
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());

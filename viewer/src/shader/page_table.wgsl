@@ -20,7 +20,7 @@
 //
 // shown: 63 where the page shows wholly; less, where the coarser one before it still does.
 //
-// Mirrored   atlas/table.rs, which writes it; a test reads it back through this file
+// Mirrored   atlas/table.rs, which writes it; its test reads it back through this file
 
 @group(0) @binding(4) var<storage, read> table: array<i32>;
 

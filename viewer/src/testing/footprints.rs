@@ -18,7 +18,7 @@ use super::worlds::at;
 use super::{Planet, Random, dataset, gpu};
 use crate::camera::Pose;
 use crate::mirror;
-use crate::render::testing::compute;
+use crate::render::testing::{Given, compute};
 use crate::shader::Program;
 use crate::surface::Surface;
 use crate::{Light, Options, Renderer};
@@ -45,7 +45,6 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
     let i = id.x;
     if i >= arrayLength(&probes) { return; }
     let asked = probes[i];
-    _ = dataset_list[0].levels + anchors[0].texel.x;
     let east = vec3f(1.0, 0.0, 0.0);
     let north = vec3f(0.0, 1.0, 0.0);
     let up = vec3f(0.0, 0.0, 1.0);
@@ -93,9 +92,7 @@ fn a_footprint_is_a_cone_cut_by_the_ground() {
     probes.push(Probe { direction, normal, up, ..Probe::zeroed() });
     let scene = mirror::Scene { equatorial_radius: 1.0, anisotropy: 8, ..Zeroable::zeroed() };
     let source = Program::Shade.source() + PROBE;
-    let datasets = [mirror::Dataset::zeroed()];
-    let anchors = [mirror::Anchor::zeroed()];
-    let found = compute(gpu(), &source, &scene, &datasets, &anchors, &probes);
+    let found = compute(gpu(), &source, Given { scene, ..Given::default() }, &probes);
     let below = found[asked.len()];
     assert!(
         Vec3::from_array(below.axis).length() < 1.1 && (below.samples, below.sample_m) == (1, 1.0)

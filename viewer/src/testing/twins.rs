@@ -14,9 +14,10 @@ use super::{Random, dataset, gpu};
 use crate::map::{DatasetMap, Windows};
 use crate::mesh::frame::axes_at;
 use crate::mirror;
-use crate::render::testing::compute;
-use crate::shader::{Program, SURFACE};
+use crate::render::testing::{Given, compute};
+use crate::shader::{PRESENT, Program, SURFACE};
 use crate::style::Style;
+use crate::yardstick;
 
 /// A question to `map_point` and its answer.
 #[repr(C)]
@@ -52,7 +53,7 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
 }
 ";
 
-fn grids() -> Vec<(&'static str, Grid, Ellipsoid)> {
+pub(super) fn grids() -> Vec<(&'static str, Grid, Ellipsoid)> {
     let earth = Ellipsoid::WGS84;
     let degrees = Crs::new(Projection::Geographic, earth);
     let width = 153 * (1 << 20);
@@ -154,14 +155,9 @@ fn places_are_found_to_a_sixteenth_of_a_texel() {
             ..Zeroable::zeroed()
         };
         let source = [SURFACE, &[PROBE]].concat().join("\n");
-        let answers: Vec<Probe> = compute(
-            gpu(),
-            &source,
-            &scene,
-            &[map.mirrored(&Windows::default(), &part)],
-            &anchors,
-            &asked,
-        );
+        let datasets = &[map.mirrored(&Windows::default(), &part)];
+        let given = Given { scene, datasets, anchors: &anchors, ..Given::default() };
+        let answers: Vec<Probe> = compute(gpu(), &source, given, &asked);
 
         let width = f64::from(grid.pyramid().extent().width);
         let mut worst = 0.0_f64;
@@ -230,7 +226,8 @@ fn a_band_ends_at_its_edges() {
     let source = [SURFACE, &[PROBE]].concat().join("\n");
     let mirrored = map.mirrored(&Windows::default(), &Style::default().part("", Kind::Height, 0));
     let scene = mirror::Scene { equatorial_radius: body.a().0 as f32, ..Zeroable::zeroed() };
-    let answers: Vec<Probe> = compute(gpu(), &source, &scene, &[mirrored], &anchors, &asked);
+    let given = Given { scene, datasets: &[mirrored], anchors: &anchors, ..Given::default() };
+    let answers: Vec<Probe> = compute(gpu(), &source, given, &asked);
     for (answer, is_inside) in answers.iter().zip(expected) {
         assert_eq!(answer.inside == 1, is_inside, "{:?} {:?}", answer.texel, answer.fraction);
     }
@@ -238,8 +235,10 @@ fn a_band_ends_at_its_edges() {
 
 #[test]
 fn all_shaders_are_valid() {
-    for program in [Program::Points, Program::Mesh, Program::Shade, Program::Measure] {
-        let module = naga::front::wgsl::parse_str(&program.source()).unwrap();
+    let programs = [Program::Points, Program::Mesh, Program::Shade, Program::Measure];
+    let alone = [PRESENT, yardstick::SHADER].map(str::to_owned);
+    for source in programs.into_iter().map(Program::source).chain(alone) {
+        let module = naga::front::wgsl::parse_str(&source).unwrap();
         naga::valid::Validator::new(
             naga::valid::ValidationFlags::all(),
             naga::valid::Capabilities::empty(),

@@ -313,7 +313,7 @@ pub(crate) fn noisy() -> &'static World {
 }
 
 /// The Earth with 64 m of terrain at 0.25 m a texel on the equator, about the north pole, and across the
-/// antimeridian: datasets 0, 1 and 2.
+/// antimeridian: datasets 0, 1 and 2. Dataset 3 is all of it, level.
 pub(crate) fn fields() -> &'static World {
     static WORLD: OnceLock<World> = OnceLock::new();
     WORLD.get_or_init(|| {

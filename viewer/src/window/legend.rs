@@ -74,8 +74,7 @@ mod tests {
     use bytemuck::{Pod, Zeroable};
 
     use super::*;
-    use crate::mirror;
-    use crate::render::testing::compute;
+    use crate::render::testing::{Given, compute};
     use crate::shader::Program;
     use crate::style::{Ramp, Stop, Style};
     use crate::testing::gpu;
@@ -97,7 +96,6 @@ struct Probe { of_number: vec3f, number: u32, of_excess: vec3f, excess: f32 }
 fn probe(@builtin(global_invocation_id) id: vec3u) {
     let i = id.x;
     if i >= arrayLength(&probes) { return; }
-    _ = dataset_list[0].levels + anchors[0].texel.x + i32(scene.debug);
     probes[i].of_number = color_of_number(probes[i].number);
     probes[i].of_excess = color_of_excess(probes[i].excess);
 }
@@ -113,10 +111,7 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
             probe.excess = excess;
         }
         let source = Program::Shade.source() + PROBE;
-        let datasets = [mirror::Dataset::zeroed()];
-        let anchors = [mirror::Anchor::zeroed()];
-        let scene = mirror::Scene::zeroed();
-        let found = compute(gpu(), &source, &scene, &datasets, &anchors, &probes);
+        let found = compute(gpu(), &source, Given::default(), &probes);
         for probe in &found {
             for (light, truth) in probe.of_number.into_iter().zip(color_of_number(probe.number)) {
                 assert!((f64::from(light) - truth).abs() < 1e-4, "{probe:?}, {truth}");

@@ -246,7 +246,7 @@ impl<H: Host> Viewer<H> {
         let Some((began, keys)) = &mut self.recording else { return };
         let seconds = began.elapsed().as_secs_f64();
         if keys.last().is_none_or(|last| seconds >= last.seconds + RECORD_EVERY_SECONDS) {
-            let View { eye, orientation, .. } = views[self.settings.arrangement.middle()];
+            let View { eye, orientation, .. } = views[self.settings.arrangement.held(self.active)];
             let pose = crate::camera::Pose { eye, orientation };
             keys.push(key_of(&pose, &self.options.ellipsoid, seconds));
         }
