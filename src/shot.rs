@@ -55,9 +55,18 @@ pub(crate) struct Shot {
     #[arg(long, value_name = "YYYY-MM-DD[THH:MM:SS]", value_parser = days, conflicts_with = "sun")]
     date: Option<f64>,
 
-    /// Light from the northwest everywhere, as on maps.
-    #[arg(long, conflicts_with_all = ["sun", "date"])]
-    relief: bool,
+    /// The same light everywhere, as on maps: from an azimuth and an elevation in degrees [default: 315,45].
+    #[arg(
+        long,
+        value_name = "AZIMUTH,ELEVATION",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "315,45",
+        allow_hyphen_values = true,
+        value_parser = numbers::<2>,
+        conflicts_with_all = ["sun", "date"],
+    )]
+    relief: Option<[f64; 2]>,
 
     /// Show the air of the Earth or Mars.
     #[arg(long)]
@@ -128,7 +137,7 @@ impl Shot {
             vertical_exaggeration: self.exaggeration,
             style: read_style(self.style.as_deref(), cache)?,
             atmosphere,
-            relief: self.relief.then(Relief::default),
+            relief: self.relief.map(Relief::from_degrees),
             exposure: self.exposure,
             ..Options::default()
         })

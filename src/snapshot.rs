@@ -70,6 +70,7 @@ enum Aov {
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
         self.shot.check()?;
+        self.check()?;
         let quality = self.shot.quality;
         let cache = self.source.open(quality.memory_mib)?;
         let view = self.view(cache.body())?;
@@ -125,6 +126,24 @@ impl Args {
             && (selection.missing, statistics.left_out_pages) == (0, 0)
             && !bare;
         Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    }
+
+    /// Whether each file is told once, and there is something to look at.
+    fn check(&self) -> Result<(), Failure> {
+        let misused = |reason: String| Err(Failure::Misused(reason));
+        let paths = || std::iter::once(&self.output).chain(self.aov.iter().map(|(_, path)| path));
+        if let Some(twice) =
+            paths().enumerate().find_map(|(i, path)| paths().take(i).find(|other| *other == path))
+        {
+            return misused(format!("{} is to be written twice", twice.display()));
+        }
+        if self.look.is_some_and(|[_, pitch]| !(-90.0..=90.0).contains(&pitch)) {
+            return misused("--look: the pitch is -90 to 90 degrees".to_owned());
+        }
+        if self.target.is_some_and(|target| target == self.eye) {
+            return misused("--target is where the eye is".to_owned());
+        }
+        Ok(())
     }
 
     fn view(&self, body: &Body) -> Result<View, Failure> {

@@ -96,9 +96,17 @@ pub struct Relief {
     pub elevation: Radians,
 }
 
+impl Relief {
+    /// From an azimuth and an elevation.
+    #[must_use]
+    pub fn from_degrees([azimuth, elevation]: [f64; 2]) -> Self {
+        Self { azimuth: Degrees(azimuth).into(), elevation: Degrees(elevation).into() }
+    }
+}
+
 impl Default for Relief {
     fn default() -> Self {
-        Self { azimuth: Degrees(315.0).into(), elevation: Degrees(45.0).into() }
+        Self::from_degrees([315.0, 45.0])
     }
 }
 

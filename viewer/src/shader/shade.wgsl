@@ -159,8 +159,10 @@ fn shade(@builtin(position) position: vec4f) -> @location(0) vec4f {
 
     var sunlight = vec3f(max(dot(ground.normal, scene.sun), 0.0));
     if any(scene.relief != vec3f(0.0)) {
-        let frame = frames[place.frame];
-        let toward = frame.east * scene.relief.x + frame.north * scene.relief.y + frame.up * scene.relief.z;
+        // By the place's own axes: the frames of two patches that meet differ. At a pole any will do.
+        let from_axis = max(length(ground.up.xy), 1e-6);
+        let east = vec3f(-ground.up.y, ground.up.x, 0.0) / from_axis;
+        let toward = east * scene.relief.x + cross(ground.up, east) * scene.relief.y + ground.up * scene.relief.z;
         sunlight = vec3f(max(dot(ground.normal, toward), 0.0));
     } else if air.top > 0.0 {
         let ray = air_ray(direction);

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use areoid_cache::{Selection, View};
 use areoid_formats::address::Level;
 use areoid_formats::body::Ellipsoid;
-use areoid_formats::geodesy::{Geographic, surface_normal};
+use areoid_formats::geodesy::{Geographic, geographic_from_normal, surface_normal};
 use areoid_formats::grid::Outline;
 use areoid_formats::normal;
 use areoid_formats::page::Kind;
@@ -16,9 +16,10 @@ use glam::DVec3;
 
 use super::{Planet, dataset, gpu};
 use crate::camera::{Pose, pixel_angle};
+use crate::mesh::frame::{axes_at, reference_point};
 use crate::style::{Layer, Ramp, Role, Stop, Style};
 use crate::surface::{BARE_COLOR, Surface};
-use crate::{Image, Light, Options, Renderer};
+use crate::{Image, Light, Options, Relief, Renderer};
 
 const SIDE: u32 = 96;
 /// Light from everywhere: the ground's own colors.
@@ -204,6 +205,54 @@ fn composed_normals_are_lit() {
         });
         assert!(off <= 2.0, "{off}");
     }
+}
+
+/// Where no dataset has normals: by the sun, and by the light of a map.
+#[test]
+fn slopes_are_lit() {
+    const AMBIENT: f64 = 0.1;
+    // Wide waves, as steep as a sixth: over a texel the slope hardly changes.
+    let height = |place: Geographic| {
+        let normal = surface_normal(place);
+        25_000.0 * ((7.0 * normal.x).sin() + (6.0 * normal.y).sin() + (8.0 * normal.z).sin())
+    };
+    let mut planet = Planet::default();
+    planet.add(globe("heights", Kind::Height, 2048, 0), |place| {
+        ([height(place) as f32, 0.0, 0.0], 255)
+    });
+    let selection = planet.selection(|_| true);
+    let ground = |normal: DVec3| {
+        reference_point(&body(), normal) + height(geographic_from_normal(normal)) * normal
+    };
+    let slope = |place: Geographic| {
+        let axes = axes_at(surface_normal(place));
+        let [east, north] = [axes.x_axis, axes.y_axis].map(|axis| {
+            let step = 1e-5 * axis;
+            ground((axes.z_axis + step).normalize()) - ground((axes.z_axis - step).normalize())
+        });
+        east.cross(north).normalize()
+    };
+    let sun = DVec3::new(1.0, 0.3, 0.6);
+    let reliefs = [[315.0, 45.0], [80.0, 20.0]].map(Relief::from_degrees);
+    let mut pictures = Vec::new();
+    for relief in [None, Some(reliefs[0]), Some(reliefs[1])] {
+        let light = Light { toward_sun: sun, ambient: AMBIENT };
+        let options = Options { anisotropy: 0, relief, ..Options::default() };
+        let (image, places) = draw(&selection, &light, &options);
+        let off = worst(&image, &places, |place, _| {
+            let toward = relief.map_or(sun.normalize(), |relief| {
+                let (across, up) = (relief.elevation.0.cos(), relief.elevation.0.sin());
+                let (east, north) = (relief.azimuth.0.sin(), relief.azimuth.0.cos());
+                axes_at(surface_normal(place)) * DVec3::new(east * across, north * across, up)
+            });
+            let lit = AMBIENT + (1.0 - AMBIENT) * slope(place).dot(toward).max(0.0);
+            BARE_COLOR.map(|code| shaded(code, lit))
+        });
+        println!("{relief:?}: at most {off:.2} codes");
+        assert!(off <= 2.0, "{relief:?}: {off}");
+        pictures.push(image);
+    }
+    assert!(pictures[0] != pictures[1] && pictures[1] != pictures[2]);
 }
 
 /// The code of sRGB (IEC 61966-2-1) for so many times the light of another.

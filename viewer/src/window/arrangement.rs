@@ -40,11 +40,6 @@ impl Arrangement {
         }
     }
 
-    /// The place, from the left, of the view that shows a pose as it is held; of two eyes the left one.
-    pub(super) fn held(self, pose: usize) -> usize {
-        if self == Self::SideBySide { pose } else { self.middle() }
-    }
-
     /// The place, from the left, of the view that the eye looks straight into.
     pub(super) fn middle(self) -> usize {
         usize::from(self == Self::Wall)

@@ -247,6 +247,10 @@ fn light(ui: &mut Ui, settings: &mut Settings) {
         ui.add(Slider::new(&mut settings.sun[0], -180.0..=180.0).text("sun's longitude"));
         ui.add(Slider::new(&mut settings.sun[1], -90.0..=90.0).text("sun's latitude"));
     }
+    if settings.lighting == Lighting::Relief {
+        ui.add(Slider::new(&mut settings.relief[0], 0.0..=360.0).text("light from"));
+        ui.add(Slider::new(&mut settings.relief[1], 0.0..=90.0).text("light's height"));
+    }
     ui.add(Slider::new(&mut settings.exposure, 0.1..=10.0).logarithmic(true).text("exposure"));
     ui.checkbox(&mut settings.has_air, "atmosphere");
 }

@@ -31,6 +31,8 @@ pub(super) struct Settings {
     pub(super) lighting: Lighting,
     /// Longitude and latitude in degrees.
     pub(super) sun: [f64; 2],
+    /// Azimuth and elevation in degrees.
+    pub(super) relief: [f64; 2],
     pub(super) has_air: bool,
     pub(super) has_ramp: bool,
     pub(super) style: Style,
@@ -46,6 +48,7 @@ impl Settings {
             exposure: 1.0,
             lighting: Lighting::Headlamp,
             sun: [0.0, 0.0],
+            relief: [315.0, 45.0],
             has_air: false,
             has_ramp: style.ramp.is_some(),
             style,
@@ -74,7 +77,7 @@ impl Settings {
             vertical_exaggeration: self.exaggeration,
             style,
             atmosphere: if self.has_air { Atmosphere::of(body) } else { None },
-            relief: is_relief.then(Relief::default),
+            relief: is_relief.then(|| Relief::from_degrees(self.relief)),
             exposure: self.exposure,
             debug: self.debug,
             seconds,

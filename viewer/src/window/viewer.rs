@@ -131,7 +131,7 @@ impl<H: Host> Viewer<H> {
         }
         self.host.exaggerate(self.settings.exaggeration);
         let selection = self.host.update(&views);
-        self.record(&views);
+        self.record(&stage);
         let insertions = self.host.insertions();
         let changed = insertions != self.figures.insertions;
         self.figures.insertions = insertions;
@@ -242,12 +242,13 @@ impl<H: Host> Viewer<H> {
         is_new
     }
 
-    fn record(&mut self, views: &[View]) {
+    /// What the hand holds: of two places the one that moves.
+    fn record(&mut self, stage: &Stage) {
         let Some((began, keys)) = &mut self.recording else { return };
         let seconds = began.elapsed().as_secs_f64();
         if keys.last().is_none_or(|last| seconds >= last.seconds + RECORD_EVERY_SECONDS) {
-            let View { eye, orientation, .. } = views[self.settings.arrangement.held(self.active)];
-            let pose = crate::camera::Pose { eye, orientation };
+            let held = self.orbits[self.active];
+            let pose = held.pose(|normal| stage.renderer.height_m(normal));
             keys.push(key_of(&pose, &self.options.ellipsoid, seconds));
         }
     }
