@@ -81,7 +81,7 @@ fn quarter(held: &[Held], number: usize) -> u64 {
 #[test]
 fn after_all_of_it_nothing_is_stuck_and_nothing_has_grown() {
     let (rounds, round) =
-        if soak() { (180, Duration::from_secs(18)) } else { (8, Duration::from_secs(1)) };
+        if soak() { (200, Duration::from_secs(18)) } else { (8, Duration::from_secs(1)) };
     let place = Place::new();
     ingest_globe(&place.catalog());
     // Each thread's own arena would keep what it once held: minutes pass until all of them have.
