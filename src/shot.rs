@@ -111,6 +111,9 @@ impl Shot {
         if let Some(sun) = self.sun {
             position(sun).map_err(Failure::Misused)?;
         }
+        if self.relief.is_some_and(|[_, elevation]| !(-90.0..=90.0).contains(&elevation)) {
+            return misused("--relief: the elevation is -90 to 90 degrees");
+        }
         if !(1e-3..=1e3).contains(&self.exposure) {
             return misused("--exposure must lie between 0.001 and 1000");
         }

@@ -128,12 +128,16 @@ impl Args {
         Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
     }
 
-    /// Whether each file is told once, and there is something to look at.
+    /// Whether each file is named once, and there is a direction to look in.
     fn check(&self) -> Result<(), Failure> {
         let misused = |reason: String| Err(Failure::Misused(reason));
+        let same = |one: &PathBuf, other: &PathBuf| {
+            std::path::absolute(one).ok() == std::path::absolute(other).ok()
+        };
         let paths = || std::iter::once(&self.output).chain(self.aov.iter().map(|(_, path)| path));
-        if let Some(twice) =
-            paths().enumerate().find_map(|(i, path)| paths().take(i).find(|other| *other == path))
+        if let Some(twice) = paths()
+            .enumerate()
+            .find_map(|(i, path)| paths().take(i).find(|other| same(other, path)))
         {
             return misused(format!("{} is to be written twice", twice.display()));
         }

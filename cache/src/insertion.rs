@@ -131,7 +131,8 @@ fn keep(
     watch: impl FnMut(Event) -> Proceed + Send,
 ) -> Result<Inserted, InsertError> {
     let request = Request { unfinished: Unfinished::Discard, ..request };
-    let _notice = Notice::new(&request)?;
+    // What is not there yet has nobody who would sweep it.
+    let _notice = request.catalog.is_dir().then(|| Notice::new(&request)).transpose()?;
     match ingest(&RealDisk, &request, watch) {
         Ok(outcome) => Ok(Inserted { outcome, temporary: Vec::new() }),
         Err(error) => {
@@ -153,7 +154,7 @@ fn discard_build(folder: &Path, dataset: &str) {
     let _ = Build::resume(&RealDisk, folder, dataset).and_then(Build::discard);
 }
 
-/// A file, locked by its owner, of the names of what is built in a catalog and goes if the owner is killed.
+/// A file, locked by its owner, that names the builds which the next sweep discards if its owner was killed.
 struct Notice {
     path: PathBuf,
     _owner: File,
@@ -162,9 +163,8 @@ struct Notice {
 impl Notice {
     fn new(request: &Request) -> Result<Self, InsertError> {
         let make = || {
-            fs::create_dir_all(&request.catalog)?;
-            let path = request.catalog.join(own_name(INSERTING));
-            let mut owner = File::create_new(&path)?;
+            let (path, mut owner) =
+                make_own(&request.catalog, INSERTING, |path| File::create_new(path))?;
             owner.lock()?;
             let notice = Self { path, _owner: owner.try_clone()? };
             owner.write_all(request.datasets().join("\n").as_bytes())?;
@@ -181,10 +181,22 @@ impl Drop for Notice {
     }
 }
 
-/// A file's name that nobody else has.
-fn own_name(kind: &str) -> String {
+/// Makes something of a name in `folder` that nobody else has, though processes on other machines may be called
+/// as this one.
+fn make_own<T>(
+    folder: &Path,
+    kind: &str,
+    make: impl Fn(&Path) -> io::Result<T>,
+) -> io::Result<(PathBuf, T)> {
     static NEXT: AtomicU64 = AtomicU64::new(0);
-    format!("{kind}{}-{}", std::process::id(), NEXT.fetch_add(1, Relaxed))
+    loop {
+        let number = NEXT.fetch_add(1, Relaxed);
+        let path = folder.join(format!("{kind}{}-{number}", std::process::id()));
+        match make(&path) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            made => return Ok((path, made?)),
+        }
+    }
 }
 
 fn make_temporary(
@@ -219,8 +231,7 @@ struct Place {
 impl Place {
     fn new(catalog: &Path) -> Result<Self, InsertError> {
         let make = || {
-            let folder = catalog.join(own_name(TEMPORARY));
-            fs::create_dir(&folder)?;
+            let (folder, ()) = make_own(catalog, TEMPORARY, |path| fs::create_dir(path))?;
             let owner = File::create(folder.join(LOCK))?;
             owner.lock()?;
             Ok(Self { folder, _owner: owner })
@@ -246,7 +257,6 @@ pub fn sweep(folder: &Path) {
     for entry in listing.flatten() {
         let (name, path) = (entry.file_name(), entry.path());
         let name = name.to_str().unwrap_or_default();
-        // What is left is swept by the next start.
         if name.starts_with(TEMPORARY) {
             // Without a lock to hold, its owner was killed before it could; or is about to make one: then
             // the insertion fails, and can be asked for again.
@@ -254,6 +264,7 @@ pub fn sweep(folder: &Path) {
             if owner.is_ok_and(|owner| owner.try_lock().is_err()) {
                 continue;
             }
+            // What stays is swept by the next start.
             let _ = fs::remove_dir_all(path);
         } else if name.starts_with(INSERTING) {
             let Ok(mut notice) = File::open(&path) else { continue };

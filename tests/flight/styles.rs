@@ -49,7 +49,7 @@ fn what_is_no_style_date_or_light_is_told() {
     let heavy = folder.path().join("heavy.json");
     fs::write(&heavy, r#"{"layers": [{"dataset": "viking_color", "weight": 2}]}"#).unwrap();
     let [torn, heavy] = [&torn, &heavy].map(|path| path.to_str().unwrap());
-    let cases: [(&[&str], i32, &str); 9] = [
+    let cases: [(&[&str], i32, &str); 11] = [
         (&["--style", torn], 1, "torn.json: no style: EOF"),
         (&["--style", heavy], 1, "heavy.json: layer \"viking_color\": the weight must lie"),
         (&["--style", "none.json"], 1, "cannot read the style none.json"),
@@ -57,6 +57,8 @@ fn what_is_no_style_date_or_light_is_told() {
         (&["--exposure", "nan"], 2, "--exposure"),
         (&["--relief", "--sun", "1,1"], 2, "--relief"),
         (&["--relief=1"], 2, "--relief"),
+        (&["--relief=0,91"], 2, "--relief"),
+        (&["--target=-133,18,900000"], 2, "--target"),
         (&["--look", "0,91"], 2, "pitch"),
         (&["--aov", "height=h.npy", "--aov", "level=h.npy"], 2, "written twice"),
     ];

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::json;
 
-use super::rig::{Place, connect, eventually, exchange, get, rest, soak};
+use super::rig::{Place, begin_to_insert, connect, eventually, exchange, get, rest, soak};
 use super::server::Process;
 
 /// Asks for an archive more often than any socket buffers, and does not read.
@@ -132,9 +132,10 @@ fn during_an_insertion_each_thread_that_answers_has_a_core_of_its_own() {
         };
         status.map(list).collect()
     };
+    // A thread is called by its name once it runs.
+    eventually("all have begun", || lists().len() == cores);
     let before = lists();
-    assert_eq!(before.len(), cores);
-    let inserting = bodies.map(|body| process.begin_to_insert(&body));
+    let inserting = bodies.map(|body| begin_to_insert(process.admin, &body));
     eventually("each has its own", || {
         let mut lists = lists();
         lists.sort();
@@ -153,7 +154,7 @@ fn asked_to_end_during_an_insertion_that_nobody_waits_for_it_leaves_nothing() {
     let place = Place::new();
     let body = long_insertion(&place, "new");
     let mut process = Process::start(&place, "");
-    let stream = process.begin_to_insert(&body);
+    let stream = begin_to_insert(process.admin, &body);
     let builds = || fs::read_dir(place.catalog().join("build")).map_or(0, Iterator::count);
     eventually("it builds", || builds() > 0);
     drop(stream);
@@ -180,7 +181,7 @@ fn killed_during_an_insertion_it_has_lost_nothing() {
             "new",
             json!({ "temporary": round % 2 == 0, "force": true, "priority": round }),
         );
-        let mut stream = process.begin_to_insert(&body);
+        let mut stream = begin_to_insert(process.admin, &body);
         stream.read_exact(&mut [0; 12]).unwrap();
         thread::sleep(Duration::from_millis(40 * (round % 7)));
         process.child.kill().unwrap();

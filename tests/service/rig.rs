@@ -191,6 +191,18 @@ pub(crate) fn ask(
     exchange(address, request.as_bytes()).unwrap_or_else(|| panic!("no answer to {method} {path}"))
 }
 
+/// Asks an admin listener for an insertion and does not wait for the answer.
+pub(crate) fn begin_to_insert(admin: SocketAddr, body: &str) -> TcpStream {
+    let mut stream = connect(admin);
+    let length = body.len();
+    write!(
+        stream,
+        "POST /v1/datasets HTTP/1.1\r\nhost: here\r\nconnection: close\r\nauthorization: Bearer {TOKEN}\r\ncontent-length: {length}\r\n\r\n{body}"
+    )
+    .unwrap();
+    stream
+}
+
 pub(crate) fn get(address: SocketAddr, path: &str) -> Answer {
     ask(address, "GET", path, &[], "")
 }
@@ -241,14 +253,7 @@ impl Serving {
 
     /// Asks for an insertion and does not wait for the answer.
     pub(crate) fn begin_to_insert(&self, body: &str) -> TcpStream {
-        let mut stream = connect(self.admin());
-        let length = body.len();
-        write!(
-            stream,
-            "POST /v1/datasets HTTP/1.1\r\nhost: here\r\nconnection: close\r\nauthorization: Bearer {TOKEN}\r\ncontent-length: {length}\r\n\r\n{body}"
-        )
-        .unwrap();
-        stream
+        begin_to_insert(self.admin(), body)
     }
 
     pub(crate) fn remove(&self, name: &str) -> Answer {

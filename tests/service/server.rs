@@ -1,12 +1,12 @@
 //! The binary, serving.
 
-use std::io::{BufRead as _, BufReader, Write as _};
-use std::net::{SocketAddr, TcpStream};
+use std::io::{BufRead as _, BufReader};
+use std::net::SocketAddr;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::thread;
 
-use super::rig::{Place, TOKEN, connect};
+use super::rig::Place;
 
 /// A server of a place in a process of its own.
 pub(crate) struct Process {
@@ -46,18 +46,6 @@ impl Process {
         let (public, admin) = line.split_once(", changed on ").unwrap();
         let public = public.strip_prefix("serving on http://").unwrap().parse().unwrap();
         Self { child, public, admin: admin.parse().unwrap() }
-    }
-
-    /// Asks for an insertion and does not wait for the answer.
-    pub(crate) fn begin_to_insert(&self, body: &str) -> TcpStream {
-        let mut stream = connect(self.admin);
-        let length = body.len();
-        write!(
-            stream,
-            "POST /v1/datasets HTTP/1.1\r\nhost: here\r\nconnection: close\r\nauthorization: Bearer {TOKEN}\r\ncontent-length: {length}\r\n\r\n{body}"
-        )
-        .unwrap();
-        stream
     }
 
     pub(crate) fn signal(&self, signal: &str) {

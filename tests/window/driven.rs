@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ExitStatus};
 
 use image::RgbImage;
+use serde_json::Value;
 use tempfile::TempDir;
 use x11rb::protocol::xproto::Window;
 
@@ -109,6 +110,16 @@ impl Driven {
         self.returns(what, &saved.to_rgb8());
     }
 
+    /// The eyes of the flight that was recorded.
+    fn recorded(&self) -> Vec<Value> {
+        let path = self.folder.path().join("flight-0001.json");
+        let flight = wait_for("a flight", || {
+            let text = fs::read_to_string(&path).map_err(|error| error.to_string())?;
+            serde_json::from_str::<Value>(&text).map_err(|error| error.to_string())
+        });
+        flight["keys"].as_array().unwrap().iter().map(|key| key["eye"].clone()).collect()
+    }
+
     fn said(&self) -> String {
         fs::read_to_string(self.folder.path().join("stderr")).unwrap()
     }
@@ -205,12 +216,18 @@ fn a_window_does_what_the_hand_says() {
     let two = driven.rests();
     let [left, right] = halves(&two);
     assert!(changed(&left, &right) > 30, "the second view is the first");
+    driven.display.press('r');
     driven.display.drag(LEFT, [440, 200], [520, 200]);
     driven.shows("the right place moved alone", |picture| {
         let now = halves(picture);
         let shares = [changed(&now[0], &left), changed(&now[1], &right)];
         (shares[0] > 5 || shares[1] < 8).then(|| format!("{shares:?} % of the halves changed"))
     });
+    driven.display.drag(LEFT, [520, 200], [440, 200]);
+    driven.returns("the right place moved back", &two);
+    driven.display.press('r');
+    let eyes = driven.recorded();
+    assert!(eyes.iter().any(|eye| *eye != eyes[0]), "the place that moved is not recorded");
     driven.rests();
     driven.is_saved("a screenshot of two views");
 

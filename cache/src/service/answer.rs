@@ -111,7 +111,7 @@ impl Content {
         })
     }
 
-    /// Its bytes, if they are in memory and there are any.
+    /// How many bytes it has, if they are in memory and there are any.
     pub(super) fn in_memory(&self) -> Option<u64> {
         self.length().filter(|_| matches!(self.from, From::Memory(Some(_))))
     }

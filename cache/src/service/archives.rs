@@ -38,12 +38,14 @@ pub(super) async fn archive(
         Err(reason) => return answer::error(StatusCode::INTERNAL_SERVER_ERROR, reason),
     };
     let tag = tag(&served.record.content);
-    let wanted = match wanted(asked, &tag, length) {
-        Ok(wanted) => wanted,
+    // Only of a body that is to be sent.
+    let is_sent = method == Method::GET && !is_known(asked, &tag);
+    let wanted = match is_sent.then(|| wanted(asked, &tag, length)).transpose() {
+        Ok(wanted) => wanted.flatten(),
         Err(unsatisfiable) => return unsatisfiable.answer(),
     };
     let range = wanted.clone().unwrap_or(0..length);
-    let content = if method == Method::HEAD || is_known(asked, &tag) {
+    let content = if !is_sent {
         Content::pieces(mpsc::channel(1).1, Some(range.end - range.start))
     } else {
         match first(served, range.clone()).await {

@@ -38,11 +38,11 @@ mod system {
     use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
     use tracing::debug;
 
-    /// A thread's core, and where it may be while it does not keep to it.
+    /// A thread's core, and where it could be before it kept to it last.
     #[derive(Clone, Debug)]
     pub(in super::super) struct Core {
         number: usize,
-        elsewhere: Arc<Mutex<CpuSet>>,
+        elsewhere: Arc<Mutex<Option<CpuSet>>>,
     }
 
     impl Core {
@@ -51,7 +51,7 @@ mod system {
         pub(in super::super) fn one_each(threads: usize) -> Vec<Self> {
             let Ok(all) = sched_getaffinity(None) else { return Vec::new() };
             let numbers = (0..CpuSet::MAX_CPU).filter(|&number| all.is_set(number));
-            let core = |number| Self { number, elsewhere: Arc::new(Mutex::new(all)) };
+            let core = |number| Self { number, elsewhere: Arc::default() };
             let cores: Vec<Self> = numbers.map(core).collect();
             if cores.len() == threads { cores } else { Vec::new() }
         }
@@ -61,8 +61,9 @@ mod system {
             let mut one = CpuSet::new();
             one.set(self.number);
             let stayed = sched_getaffinity(None).and_then(|before| {
-                *self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner) = before;
-                sched_setaffinity(None, &one)
+                *self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner) = Some(before);
+                // Where it must not be any more, it does not go.
+                if before.is_set(self.number) { sched_setaffinity(None, &one) } else { Ok(()) }
             });
             if let Err(error) = stayed {
                 debug!(
@@ -76,7 +77,8 @@ mod system {
         /// Lets this thread go where the one that keeps to the core could before.
         pub(in super::super) fn leave(&self) {
             let elsewhere = *self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner);
-            if let Err(error) = sched_setaffinity(None, &elsewhere) {
+            let left = elsewhere.map_or(Ok(()), |elsewhere| sched_setaffinity(None, &elsewhere));
+            if let Err(error) = left {
                 debug!(core = self.number, error = &error as &dyn std::error::Error, "not left");
             }
         }
@@ -144,10 +146,11 @@ mod tests {
             assert_eq!(own().await, all);
             // Whoever has sent it elsewhere since is heeded.
             sched_setaffinity(None, &other.1).unwrap();
-            for (some, place) in [(1, core.1), (0, other.1)] {
+            for some in [1, 0] {
                 inserting.send_replace(some);
-                assert_eq!(own().await, place);
+                assert_eq!(own().await, other.1);
             }
+            sched_setaffinity(None, &all).unwrap();
             drop(inserting);
             keeper.await.unwrap();
         });

@@ -118,13 +118,23 @@ impl Hub {
         Ok(())
     }
 
-    /// Shows what is not in the catalog, too, in the place of what is not and is called alike.
-    pub(super) fn add(&self, added: Vec<Arc<Served>>) {
+    /// Shows what is not in the catalog, too, in the place of what is not and is called alike; not if the catalog
+    /// has something that is. Whether it is shown.
+    pub(super) fn add(&self, added: Vec<Arc<Served>>) -> bool {
         self.change_temporary(|datasets| {
             make_room(datasets, added.iter().map(|served| &served.record));
-            datasets.extend(added.into_iter().map(|served| (served.record.name.clone(), served)));
-            true
-        });
+            let is_taken = datasets.values().filter(|served| !served.temporary).any(|kept| {
+                let names = |served: &Served| {
+                    [served.record.name.clone(), served.record.called().to_owned()]
+                };
+                added.iter().any(|new| names(new).iter().any(|name| kept.record.answers_to(name)))
+            });
+            if !is_taken {
+                let named = |served: Arc<Served>| (served.record.name.clone(), served);
+                datasets.extend(added.into_iter().map(named));
+            }
+            !is_taken
+        })
     }
 
     /// Takes away what is temporary and answers to `name`; whether there was any.

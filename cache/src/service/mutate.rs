@@ -84,7 +84,9 @@ fn show(hub: &Hub, inserted: Inserted) -> Result<Value, InsertError> {
     if is_temporary {
         let served = temporary.into_iter();
         let served = served.map(|(record, archive)| Served::new(record, Ok(archive), true));
-        hub.add(served.collect());
+        if !hub.add(served.collect()) {
+            return Err(InsertError::Taken { name: outcome.dataset });
+        }
     } else {
         hub.refresh()?;
     }

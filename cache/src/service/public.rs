@@ -38,7 +38,8 @@ pub(super) async fn answer(hub: Arc<Hub>, request: Request<Incoming>) -> Answer 
     };
     let is_head = request.method() == Method::HEAD;
     let answer = if is_head || request.method() == Method::GET {
-        ranges::cut(route(&hub, &request).await, request.headers())
+        let answer = route(&hub, &request).await;
+        if is_head { answer } else { ranges::cut(answer, request.headers()) }
     } else {
         let mut answer =
             answer::error(StatusCode::METHOD_NOT_ALLOWED, "this listener is read-only");

@@ -7,7 +7,7 @@ use hyper::header::{ACCEPT_RANGES, CONTENT_RANGE, ETAG, HeaderMap, HeaderValue, 
 
 use super::answer::{self, Answer};
 
-/// A range of nothing.
+/// A range that no byte is in.
 #[derive(Debug, PartialEq)]
 pub(super) struct Unsatisfiable {
     length: u64,

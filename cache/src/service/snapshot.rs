@@ -72,8 +72,7 @@ pub(super) struct Snapshot {
     pub(super) tag: HeaderValue,
 }
 
-/// Takes away what is temporary and what a user could mean by the name of something that comes, a group as a
-/// whole.
+/// Takes away what is temporary and could be meant by the name of something that comes; a group as a whole.
 pub(super) fn make_room<'a>(
     datasets: &mut BTreeMap<String, Arc<Served>>,
     coming: impl Iterator<Item = &'a DatasetRecord>,

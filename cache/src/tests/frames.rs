@@ -116,7 +116,9 @@ fn residents(eyes: &[f64], ahead: bool) -> f64 {
     session.look_ahead = ahead;
     let at = |turn: f64| View { tolerance_px: 0.1, ..view(turn, 20.0, 2e5, 45.0) };
     let all = |turn: f64| eyes.iter().map(|eye| at(turn + eye)).collect::<Vec<_>>();
+    let begun = Instant::now();
     while session.update_all(&all(0.0)).missing > 0 {
+        assert!(begun.elapsed() < Duration::from_secs(60), "pages are missing");
         std::thread::yield_now();
     }
     let before = cache.stats();

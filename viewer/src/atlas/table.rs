@@ -196,6 +196,56 @@ mod tests {
         assert_eq!(window, Window { row: 3, col: cols - 1, rows: 2, cols: 4 });
     }
 
+    /// Without a GPU: each level's window has, for each of its pages, the finest at most as fine.
+    #[test]
+    fn entries_name_the_finest_page_that_is_not_finer() {
+        let pyramid = globe();
+        let mut random = Random(0xe27);
+        let mut below = |count: u32| (random.next() * f64::from(count)) as u32;
+        for _ in 0..50 {
+            let mut pages: Vec<PageAddress> = (0..below(40))
+                .map(|_| {
+                    let level = Level(below(u32::from(pyramid.finest().0) + 1) as u8);
+                    let (rows, cols) = pyramid.pages(level).unwrap();
+                    PageAddress::new(level, below(rows), below(cols))
+                })
+                .collect();
+            pages.sort();
+            pages.dedup();
+            let shown = |(slot, page): (u32, &PageAddress)| Shown {
+                page: *page,
+                slot,
+                gray: false,
+                whole: true,
+                presence: PRESENT,
+            };
+            let shown: Vec<Shown> = (0..).zip(&pages).map(shown).collect();
+            let mut table = Vec::new();
+            append(&mut table, &pyramid, &shown, &[]);
+            let mut named = 0;
+            for level in pyramid.levels() {
+                let header = WINDOW_LEN * usize::from(level.0);
+                let [row, col, rows, cols, start] =
+                    [0, 1, 2, 3, 4].map(|i| table[header + i].unsigned_abs());
+                let all = (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col)));
+                for (place, (down, right)) in all.enumerate() {
+                    let page = PageAddress::new(
+                        level,
+                        row + down,
+                        (col + right) % pyramid.pages(level).unwrap().1,
+                    );
+                    let lineage = std::iter::successors(Some(page), |page| page.parent());
+                    let mut found =
+                        lineage.filter_map(|page| shown.iter().find(|one| one.page == page));
+                    let expected = found.next().map_or(0, entry);
+                    assert_eq!(table[start as usize + place].cast_unsigned(), expected, "{page}");
+                    named += usize::from(shown.iter().any(|one| one.page == page));
+                }
+            }
+            assert_eq!(named, shown.len());
+        }
+    }
+
     /// A question to `find_page` and its answer.
     #[repr(C)]
     #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]

@@ -2,7 +2,7 @@
 // off, over the ground.
 //
 // It tells of the front color dataset at a place, or of the front one of heights; of errors, of
-// heights alone.
+// heights alone. Of datasets of one priority, the one with the largest share is told.
 //
 // Mirrored   scene.debug <-> viewer/src/render/options.rs: Debug
 
@@ -36,11 +36,16 @@ fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> v
     let x = r0 + d.z * r0 - d.y * z0;
     let r = sqrt(x * x + d.x * d.x);
     let z = z0 + d.y * r0 + d.z * z0;
-    for (var step = select(0u, 1u, scene.debug == SHOW_ERROR); step < 2u; step++) {
+    var front = -1;
+    var largest_share = 0.0;
+    for (var step = select(0u, 1u, scene.debug == SHOW_ERROR); step < 2u && front < 0; step++) {
         let plane = select(HEIGHTS, COLORS, step == 0u);
         for (var i = frames[frame_index].lists[plane]; i < frames[frame_index].lists[plane + 1u]; i++) {
             let dataset = dataset_list[anchors[i].dataset];
             let point = map_point(dataset, anchors[i], r0, z0, d);
+            if front >= 0 && dataset.priority != dataset_list[front].priority {
+                break;
+            }
             if !point.inside {
                 continue;
             }
@@ -56,7 +61,18 @@ fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> v
                 return mix(ground, color_of_number(u32(level)), 0.5);
             }
             if scene.debug == SHOW_DATASET {
-                return mix(ground, color_of_number(anchors[i].dataset), 0.5);
+                var covers = 0.0;
+                if plane == HEIGHTS {
+                    covers = read_height(found, 0.0).coverage;
+                } else {
+                    covers = read_codes(found, false).coverage;
+                }
+                let share = quality_of(scales) * dataset.weight * covers;
+                if share > largest_share {
+                    largest_share = share;
+                    front = i32(anchors[i].dataset);
+                }
+                continue;
             }
             if scene.debug == SHOW_BORDERS {
                 // Lines two pixels wide, about the page's outline.
@@ -76,6 +92,9 @@ fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> v
             let color = select(vec3f(0.2, 0.3, 1.0), vec3f(1.0, 0.1, 0.05), lag > 0.0);
             return mix(ground, color, min(abs(lag) * 0.25, 0.8));
         }
+    }
+    if front >= 0 {
+        return mix(ground, color_of_number(u32(front)), 0.5);
     }
     return ground;
 }

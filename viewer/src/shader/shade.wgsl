@@ -159,9 +159,13 @@ fn shade(@builtin(position) position: vec4f) -> @location(0) vec4f {
 
     var sunlight = vec3f(max(dot(ground.normal, scene.sun), 0.0));
     if any(scene.relief != vec3f(0.0)) {
-        // By the place's own axes: the frames of two patches that meet differ. At a pole any will do.
-        let from_axis = max(length(ground.up.xy), 1e-6);
-        let east = vec3f(-ground.up.y, ground.up.x, 0.0) / from_axis;
+        // By the place's own axes: the frames of two patches that meet differ. At a pole they are those of
+        // longitude 0, as in mesh/frame.rs.
+        let from_axis = length(ground.up.xy);
+        var east = vec3f(0.0, 1.0, 0.0);
+        if from_axis > 0.0 {
+            east = vec3f(-ground.up.y, ground.up.x, 0.0) / from_axis;
+        }
         let toward = east * scene.relief.x + cross(ground.up, east) * scene.relief.y + ground.up * scene.relief.z;
         sunlight = vec3f(max(dot(ground.normal, toward), 0.0));
     } else if air.top > 0.0 {

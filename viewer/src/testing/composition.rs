@@ -19,7 +19,7 @@ use crate::camera::{Pose, pixel_angle};
 use crate::mesh::frame::{axes_at, reference_point};
 use crate::style::{Layer, Ramp, Role, Stop, Style};
 use crate::surface::{BARE_COLOR, Surface};
-use crate::{Image, Light, Options, Relief, Renderer};
+use crate::{Debug, Image, Light, Options, Relief, Renderer};
 
 const SIDE: u32 = 96;
 /// Light from everywhere: the ground's own colors.
@@ -174,6 +174,33 @@ fn every_style_is_composed_as_the_twin_does() {
             assert!(image != same, "{one} is {other}");
         }
     }
+}
+
+/// Of two datasets of one priority the finer one weighs more, and is told where it is.
+#[test]
+fn the_dataset_that_is_told_is_the_one_that_is_seen() {
+    let gray = |_| ([128.0; 3], 255);
+    let told = |fine: bool| {
+        let mut planet = Planet::default();
+        planet.add(globe("base", Kind::Color, 512, 0), gray);
+        if fine {
+            planet.add(region("sharp", Kind::Color, 0), gray);
+        }
+        let options = Options { debug: Debug::Dataset, ..Options::default() };
+        draw(&planet.selection(|_| true), &UNLIT, &options)
+    };
+    let [(both, places), (base, _)] = [true, false].map(told);
+    let mut counts = [0; 2];
+    let pixels = both.rgba.chunks_exact(4).zip(base.rgba.chunks_exact(4));
+    for (pixel, (one, other)) in pixels.enumerate() {
+        let [x, y] = places[pixel];
+        let from_rim = (x + 10.0).min(14.0 - x).min(20.0 - y).min(y + 4.0);
+        if from_rim.abs() > 0.5 {
+            assert_eq!(one != other, from_rim > 0.0, "{x} {y}");
+            counts[usize::from(from_rim > 0.0)] += 1;
+        }
+    }
+    assert!(counts[0] > 100 && counts[1] > 100, "{counts:?}");
 }
 
 /// Bare ground, and colors.

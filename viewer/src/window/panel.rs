@@ -104,8 +104,10 @@ impl Panel {
     fn insert(&mut self, ui: &mut Ui, figures: &Figures, wishes: &mut Vec<Wish>) {
         ui.label("Drag a raster onto the window, or name it:");
         ui.horizontal(|ui| {
-            ui.text_edit_singleline(&mut self.raster);
-            if ui.button("Insert").clicked() && !self.raster.trim().is_empty() {
+            let named = ui.text_edit_singleline(&mut self.raster);
+            let is_entered = named.lost_focus() && ui.input(|input| input.key_pressed(Key::Enter));
+            let is_asked = ui.button("Insert").clicked() || is_entered;
+            if is_asked && !self.raster.trim().is_empty() {
                 wishes.push(Wish::Insert(self.raster.trim().to_owned()));
             }
         });

@@ -242,12 +242,16 @@ impl<H: Host> Viewer<H> {
         is_new
     }
 
-    /// What the hand holds: of two places the one that moves.
+    /// The place that the hand moves: of two the one under the pointer.
+    fn held(&self) -> usize {
+        self.settings.arrangement.pose_of(self.active)
+    }
+
     fn record(&mut self, stage: &Stage) {
+        let held = self.orbits[self.held()];
         let Some((began, keys)) = &mut self.recording else { return };
         let seconds = began.elapsed().as_secs_f64();
         if keys.last().is_none_or(|last| seconds >= last.seconds + RECORD_EVERY_SECONDS) {
-            let held = self.orbits[self.active];
             let pose = held.pose(|normal| stage.renderer.height_m(normal));
             keys.push(key_of(&pose, &self.options.ellipsoid, seconds));
         }
@@ -257,10 +261,10 @@ impl<H: Host> Viewer<H> {
         stage.unfinished = true;
         match wish {
             Wish::Insert(raster) => self.host.insert(std::path::Path::new(raster)),
-            Wish::AddBookmark => self.bookmarks.push(self.orbits[self.active]),
+            Wish::AddBookmark => self.bookmarks.push(self.orbits[self.held()]),
             Wish::GoTo(place) => {
                 if let Some(orbit) = self.bookmarks.get(*place) {
-                    self.orbits[self.active] = *orbit;
+                    self.orbits[self.held()] = *orbit;
                 }
             }
             Wish::Record => match self.recording.take() {
@@ -289,7 +293,8 @@ impl<H: Host> Viewer<H> {
     fn pressed(&mut self, event_loop: &ActiveEventLoop, key: &winit::keyboard::Key) {
         let Some(mut stage) = self.stage.take() else { return };
         let pixel_angle = self.pixel_angle(&stage);
-        let orbit = &mut self.orbits[self.active];
+        let held = self.held();
+        let orbit = &mut self.orbits[held];
         match press(key, orbit, &mut self.settings, pixel_angle) {
             Some(Order::End) => event_loop.exit(),
             Some(Order::AddBookmark) => self.grant(&Wish::AddBookmark, &mut stage),
@@ -357,7 +362,8 @@ impl<H: Host> ApplicationHandler for Viewer<H> {
                 }
                 let stage = self.stage.as_ref().expect("it was there at the top");
                 let pixel_angle = self.pixel_angle(stage);
-                self.hand.point(event, &mut self.orbits[self.active], pixel_angle);
+                let held = self.held();
+                self.hand.point(event, &mut self.orbits[held], pixel_angle);
             }
         }
     }
