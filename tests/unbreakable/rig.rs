@@ -186,17 +186,18 @@ impl Subject {
                 Event::Building(progress) if progress.units_done == noted => Proceed::No,
                 _ => Proceed::Yes,
             };
-            let stopped = ingest::ingest(&RealDisk, &request, stop).unwrap_err();
+            let stopped = unless_busy(|| ingest::ingest(&RealDisk, &request, stop)).unwrap_err();
             assert!(stopped.can_be_resumed(), "{stopped}");
         }
         // A note is written whenever a build stops; one that is killed writes none.
+        let kill = |event: Event| match event {
+            Event::Building(progress) if progress.units_done >= units => {
+                std::panic::resume_unwind(Box::new("killed"))
+            }
+            _ => Proceed::Yes,
+        };
         let die = std::panic::AssertUnwindSafe(|| {
-            ingest::ingest(&RealDisk, &request, |event| match event {
-                Event::Building(progress) if progress.units_done >= units => {
-                    std::panic::resume_unwind(Box::new("killed"))
-                }
-                _ => Proceed::Yes,
-            })
+            unless_busy(|| ingest::ingest(&RealDisk, &request, kill))
         });
         assert!(std::panic::catch_unwind(die).is_err());
     }
@@ -210,17 +211,23 @@ impl Subject {
             }
             Proceed::Yes
         };
-        let mut ingest = || ingest::ingest(&RealDisk, &self.request(catalog), &mut count);
-        // A child of another test holds this process's locks until it is another program.
-        let outcome = loop {
-            match ingest() {
-                Err(IngestError::Catalog(error)) if matches!(*error, CatalogError::Busy { .. }) => {
-                    std::thread::yield_now();
-                }
-                outcome => break outcome.unwrap(),
+        let ingest = || ingest::ingest(&RealDisk, &self.request(catalog), &mut count);
+        (unless_busy(ingest).unwrap(), leaves)
+    }
+}
+
+/// What comes of an ingest once nobody else has its build: a child of another test holds this process's locks
+/// until it is another program.
+fn unless_busy(
+    mut ingest: impl FnMut() -> Result<Outcome, IngestError>,
+) -> Result<Outcome, IngestError> {
+    loop {
+        match ingest() {
+            Err(IngestError::Catalog(error)) if matches!(*error, CatalogError::Busy { .. }) => {
+                std::thread::yield_now();
             }
-        };
-        (outcome, leaves)
+            outcome => return outcome,
+        }
     }
 }
 
