@@ -129,16 +129,18 @@ const WIDTH: u32 = 4096;
 struct Busy {
     request: Request,
     body: Body,
+    /// How many names were given.
+    names: AtomicU64,
 }
 
 impl Busy {
     fn new(folder: &Path) -> Result<Self, Failure> {
         let raster = Recipe::tiled(Look::Height, (WIDTH, WIDTH / 2)).make(folder)?;
-        let asked = json!({ "rasters": [raster], "name": "busy", "force": true });
+        let asked = json!({ "rasters": [raster] });
         let asked: InsertRequest = serde_json::from_value(asked)?;
         let request = asked.request(folder.join("catalog"));
         let request = request.map_err(|reason| Failure::Failed(reason.into()))?;
-        Ok(Self { request, body: body() })
+        Ok(Self { request, body: body(), names: AtomicU64::new(0) })
     }
 
     /// Inserts over and over; how often.
@@ -146,7 +148,10 @@ impl Busy {
         let mut count = 0;
         while !done.load(Relaxed) {
             let watch = |_| if done.load(Relaxed) { Proceed::No } else { Proceed::Yes };
-            match insertion::insert(self.request.clone(), Lifetime::Kept, &self.body, watch) {
+            // What is there already would not be built again.
+            let name = format!("busy-{}", self.names.fetch_add(1, Relaxed));
+            let request = Request { name: Some(name), ..self.request.clone() };
+            match insertion::insert(request, Lifetime::Kept, &self.body, watch) {
                 Ok(_) => count += 1,
                 Err(_) if done.load(Relaxed) => {}
                 Err(error) => return Err(error),
