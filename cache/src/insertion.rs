@@ -157,17 +157,18 @@ fn discard_build(folder: &Path, dataset: &str) {
 /// A file, locked by its owner, that names the builds which the next sweep discards if its owner was killed.
 struct Notice {
     path: PathBuf,
-    _owner: File,
+    owner: File,
 }
 
 impl Notice {
     fn new(request: &Request) -> Result<Self, InsertError> {
         let make = || {
-            let (path, mut owner) =
+            let (path, owner) =
                 make_own(&request.catalog, INSERTING, |path| File::create_new(path))?;
-            owner.lock()?;
-            let notice = Self { path, _owner: owner.try_clone()? };
-            owner.write_all(request.datasets().join("\n").as_bytes())?;
+            // From here on it goes if anything fails.
+            let mut notice = Self { path, owner };
+            notice.owner.lock()?;
+            notice.owner.write_all(request.datasets().join("\n").as_bytes())?;
             Ok(notice)
         };
         make().map_err(|source| InsertError::Place { folder: request.catalog.clone(), source })

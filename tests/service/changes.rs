@@ -50,16 +50,22 @@ fn a_temporary_dataset_leaves_no_file_and_ends_with_the_service() {
     assert_eq!(serving.names(), ["other", "pole"]);
 }
 
+/// Heights of all of Mars, as a group or as one dataset.
+fn insert_globe(serving: &Serving, split: bool, temporary: bool) {
+    let raster = serving.place.path("rasters/globe.tif");
+    write_bare(&raster, 512, 256);
+    let grid = if split { "split" } else { "native" };
+    let options = json!({ "rasters": [raster], "grid": grid, "temporary": temporary });
+    let mut more = globe();
+    more.as_object_mut().unwrap().extend(options.as_object().unwrap().clone());
+    let answer = serving.insert(&serving.place.insertion("globe", more)).text();
+    assert!(answer.contains("inserted"), "{answer}");
+}
+
 #[test]
 fn parts_of_a_temporary_group_go_together() {
     let serving = Serving::new();
-    let raster = serving.place.path("rasters/globe.tif");
-    write_bare(&raster, 512, 256);
-    let mut more = globe();
-    let options = json!({ "rasters": [raster], "grid": "split", "temporary": true });
-    more.as_object_mut().unwrap().extend(options.as_object().unwrap().clone());
-    let inserted = serving.insert(&serving.place.insertion("globe", more)).text();
-    assert!(inserted.contains("inserted"), "{inserted}");
+    insert_globe(&serving, true, true);
     let all = ["globe.band", "globe.north", "globe.south", "pole"];
     assert_eq!(serving.names(), all);
     assert_eq!(serving.remove("globe.north").status, 409);
@@ -75,30 +81,15 @@ fn what_is_called_as_something_temporary_comes_in_its_place() {
     const ONE: [&str; 2] = ["globe", "pole"];
     for [split_first, kept_then] in [[true, false], [false, false], [true, true], [false, true]] {
         let serving = Serving::new();
-        let raster = serving.place.path("rasters/globe.tif");
-        write_bare(&raster, 512, 256);
-        let insert = |name: &str, split: bool, temporary: bool| {
-            let grid = if split { "split" } else { "native" };
-            let options = json!({ "rasters": [raster], "grid": grid, "temporary": temporary });
-            let mut more = globe();
-            more.as_object_mut().unwrap().extend(options.as_object().unwrap().clone());
-            let answer = serving.insert(&serving.place.insertion(name, more)).text();
-            assert!(answer.contains("inserted"), "{answer}");
-        };
         let all = |split: bool| if split { PARTS.to_vec() } else { ONE.to_vec() };
-        insert("globe", split_first, true);
+        insert_globe(&serving, split_first, true);
         assert_eq!(serving.names(), all(split_first));
-        insert("globe", !split_first, !kept_then);
+        insert_globe(&serving, !split_first, !kept_then);
         assert_eq!(serving.names(), all(!split_first), "{split_first} {kept_then}");
     }
     // One that is called as a part: no half of a group is left.
     let serving = Serving::new();
-    let raster = serving.place.path("rasters/globe.tif");
-    write_bare(&raster, 512, 256);
-    let mut more = globe();
-    let options = json!({ "rasters": [raster], "grid": "split", "temporary": true });
-    more.as_object_mut().unwrap().extend(options.as_object().unwrap().clone());
-    serving.insert(&serving.place.insertion("globe", more));
+    insert_globe(&serving, true, true);
     assert_eq!(serving.names(), PARTS);
     let one = serving.place.insertion("globe.band", json!({}));
     assert!(serving.insert(&one).text().contains("inserted"));

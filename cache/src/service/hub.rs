@@ -33,6 +33,9 @@ impl Weighter<PageKey, Arc<StoredPage>> for PageBytes {
 /// Heights looked up at a time: each reads and decodes a page or more.
 pub(super) const HEIGHTS: usize = 4;
 
+/// Heights that wait for others: they hold places of requests in flight.
+const HEIGHTS_WAITING: usize = 64;
+
 /// Events that a client may be behind before it is told to ask for the catalog again.
 const EVENTS: usize = 256;
 
@@ -57,6 +60,8 @@ pub(super) struct Hub {
     most_in_flight: usize,
     /// Heights that are looked up at a time.
     pub(super) heights: Arc<Semaphore>,
+    /// Those and others that wait for them.
+    pub(super) heights_asked: Semaphore,
     /// Clients that listen to events.
     pub(super) listeners: Arc<Semaphore>,
     event: AtomicU64,
@@ -82,6 +87,7 @@ impl Hub {
             in_flight: Arc::new(Semaphore::new(limits.requests)),
             most_in_flight: limits.requests,
             heights: Arc::new(Semaphore::new(HEIGHTS)),
+            heights_asked: Semaphore::new(HEIGHTS + HEIGHTS_WAITING),
             listeners: Arc::new(Semaphore::new(limits.connections)),
             event: AtomicU64::new(0),
         })
@@ -123,12 +129,12 @@ impl Hub {
     pub(super) fn add(&self, added: Vec<Arc<Served>>) -> bool {
         self.change_temporary(|datasets| {
             make_room(datasets, added.iter().map(|served| &served.record));
-            let is_taken = datasets.values().filter(|served| !served.temporary).any(|kept| {
-                let names = |served: &Served| {
-                    [served.record.name.clone(), served.record.called().to_owned()]
-                };
-                added.iter().any(|new| names(new).iter().any(|name| kept.record.answers_to(name)))
-            });
+            let means = |kept: &Served, new: &Served| {
+                kept.record.answers_to(&new.record.name)
+                    || kept.record.answers_to(new.record.called())
+            };
+            let mut kept = datasets.values().filter(|served| !served.temporary);
+            let is_taken = kept.any(|kept| added.iter().any(|new| means(kept, new)));
             if !is_taken {
                 let named = |served: Arc<Served>| (served.record.name.clone(), served);
                 datasets.extend(added.into_iter().map(named));
@@ -214,4 +220,30 @@ impl Hub {
 pub(super) async fn stopped(stopping: &mut watch::Receiver<bool>) {
     // A hub that is gone has stopped.
     let _ = stopping.wait_for(|stopping| *stopping).await;
+}
+
+#[cfg(test)]
+mod tests {
+    use areoid_formats::catalog::DatasetRecord;
+
+    use super::*;
+    use crate::tests::globe_in_a_catalog;
+
+    /// It was published while what is temporary was built.
+    #[test]
+    fn what_is_temporary_does_not_stand_beside_what_is_kept_and_called_alike() {
+        let folder = globe_in_a_catalog();
+        let hub = Hub::open(folder.path(), 1 << 20, Limits::default()).unwrap();
+        let kept = hub.now().datasets["globe"].record.clone();
+        let add = |name: &str, group: Option<&str>| {
+            let (name, group) = (name.to_owned(), group.map(str::to_owned));
+            let record = DatasetRecord { name, group, ..kept.clone() };
+            hub.add(vec![Served::new(record, Err("not read".to_owned()), true)])
+        };
+        assert!(!add("globe", None) && !add("globe.band", Some("globe")));
+        assert_eq!(hub.now().datasets.keys().collect::<Vec<_>>(), ["globe"]);
+        assert!(!hub.now().datasets["globe"].temporary);
+        assert!(add("guest", None));
+        assert_eq!(hub.now().datasets.keys().collect::<Vec<_>>(), ["globe", "guest"]);
+    }
 }

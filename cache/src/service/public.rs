@@ -161,11 +161,13 @@ async fn height(hub: &Arc<Hub>, query: &str) -> Result<Value, Refusal> {
     if !(-90.0..=90.0).contains(&lat) {
         return Err(refused("latitudes are -90 to 90"));
     }
-    let Ok(Ok(place)) = timeout(PATIENCE, Arc::clone(&hub.heights).acquire_owned()).await else {
+    let too_many = || {
         hub.metrics.refused.fetch_add(1, Relaxed);
-        let reason = "too many heights are looked up";
-        return Err(Refusal::new(StatusCode::SERVICE_UNAVAILABLE, reason));
+        Refusal::new(StatusCode::SERVICE_UNAVAILABLE, "too many heights are looked up")
     };
+    let _asked = hub.heights_asked.try_acquire().map_err(|_| too_many())?;
+    let place = timeout(PATIENCE, Arc::clone(&hub.heights).acquire_owned()).await;
+    let Ok(Ok(place)) = place else { return Err(too_many()) };
     let now = hub.now();
     let found = spawn_blocking(move || {
         let _place = place;
@@ -209,6 +211,13 @@ mod tests {
         assert_eq!(refused.status(), StatusCode::SERVICE_UNAVAILABLE);
         assert_eq!(refused.headers()["retry-after"], "1");
         drop(taken);
+        assert_eq!(ask().await.unwrap(), found);
+        let waiting = hub.heights_asked.available_permits();
+        let waiting = hub.heights_asked.acquire_many(u32::try_from(waiting).unwrap()).await;
+        let asked = tokio::time::Instant::now();
+        assert_eq!(ask().await.unwrap_err().answer().status(), StatusCode::SERVICE_UNAVAILABLE);
+        assert_eq!(asked.elapsed(), Duration::ZERO, "it waits");
+        drop(waiting);
         assert_eq!(ask().await.unwrap(), found);
 
         let listen = || (0..3).map(|_| events(&hub)).collect::<Vec<_>>();
