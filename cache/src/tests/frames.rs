@@ -68,6 +68,17 @@ fn several_views_are_one_search() {
     assert!(again.page_reads().values().all(|&reads| reads == 1));
 }
 
+/// A selection for these views, and not the one before once more because the tables were in use.
+fn anew(cache: &Cache, session: &mut Session, views: &[View]) -> Arc<Selection> {
+    loop {
+        let repeated = cache.stats().repeated;
+        let now = session.update_all(views);
+        if cache.stats().repeated == repeated {
+            return now;
+        }
+    }
+}
+
 /// Of two views, each keeps its own tolerance.
 #[test]
 fn a_coarser_view_beside_a_finer_one_stays_coarse() {
@@ -78,7 +89,7 @@ fn a_coarser_view_beside_a_finer_one_stays_coarse() {
     let cache = globe.cache(PLENTY, 2);
     let mut session = cache.session();
     let mut finest = |views: &[View]| loop {
-        let now = session.update_all(views);
+        let now = anew(&cache, &mut session, views);
         if now.missing == 0 && !now.pages.is_empty() {
             let pages = now.pages.iter().map(|page| page.entry.page);
             let half = |page: PageAddress| {
@@ -117,7 +128,7 @@ fn residents(eyes: &[f64], ahead: bool) -> f64 {
     let at = |turn: f64| View { tolerance_px: 0.1, ..view(turn, 20.0, 2e5, 45.0) };
     let all = |turn: f64| eyes.iter().map(|eye| at(turn + eye)).collect::<Vec<_>>();
     let begun = Instant::now();
-    while session.update_all(&all(0.0)).missing > 0 {
+    while anew(&cache, &mut session, &all(0.0)).missing > 0 {
         assert!(begun.elapsed() < Duration::from_secs(60), "pages are missing");
         std::thread::yield_now();
     }
@@ -201,7 +212,7 @@ fn views_that_make_no_sense_do_no_harm() {
             session.update_all(&[odd, near]);
         }
     }
-    assert!(session.update_all(&[]).pages.is_empty());
+    assert!(anew(&cache, &mut session, &[]).pages.is_empty());
     let again = session.settle(&near);
     assert_eq!((again.pages.len(), again.missing), (truth.pages.len(), 0));
 }
@@ -215,11 +226,11 @@ fn what_is_exaggerated_is_selected_anew() {
     let view = view(10.0, 20.0, 2e6, 30.0);
     let plain = session.settle(&view);
     session.exaggerate(20.0);
-    let asked = session.update(&view);
+    let asked = anew(&cache, &mut session, &[view]);
     assert!(asked.missing > 0 && asked.wanted > plain.wanted, "{asked:?}");
     let high = session.settle(&view);
     other.exaggerate(20.0);
     assert_eq!(addresses(&high), addresses(&other.settle(&view)));
     session.exaggerate(1.0);
-    assert_eq!(addresses(&session.update(&view)), addresses(&plain));
+    assert_eq!(addresses(&anew(&cache, &mut session, &[view])), addresses(&plain));
 }
