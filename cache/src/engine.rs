@@ -38,10 +38,19 @@ impl Engine {
             .thread_name("areoid-cache")
             .build()?;
         let shared = Arc::new(Shared::new(scene, budget_bytes, limits));
-        runtime.spawn(Arc::clone(&shared).dispatch());
+        runtime.spawn(Arc::clone(&shared).dispatch(runtime.handle().clone()));
         runtime.spawn(Arc::clone(&shared).tidy());
         let (visited, repeated) = (AtomicU64::new(0), AtomicU64::new(0));
         Ok(Self { shared, runtime: Some(runtime), visited, repeated })
+    }
+
+    /// One whose threads the caller is: nothing goes on by itself.
+    #[cfg(test)]
+    pub(crate) fn still(scene: Scene, budget_bytes: usize, limits: Limits) -> Self {
+        let runtime = Builder::new_current_thread().enable_all().build().unwrap();
+        let shared = Arc::new(Shared::new(scene, budget_bytes, limits));
+        let (visited, repeated) = (AtomicU64::new(0), AtomicU64::new(0));
+        Self { shared, runtime: Some(runtime), visited, repeated }
     }
 
     pub(crate) fn shared(&self) -> &Arc<Shared> {

@@ -9,6 +9,8 @@
 
 mod words;
 
+mod locks;
+
 pub mod view;
 
 pub mod camera;

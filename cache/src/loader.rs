@@ -9,7 +9,7 @@
 //! The store's lock is held for table work alone, never across a read or a decode.
 
 use std::sync::atomic::AtomicUsize;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use areoid_formats::archive::ArchiveError;
@@ -18,12 +18,25 @@ use tokio::sync::{Notify, watch};
 use tokio::time::{Instant, sleep};
 use tracing::{debug, trace};
 
+use crate::locks::{lock, step, try_lock};
 use crate::lookout::{Look, Lookouts};
 use crate::scene::Scene;
 use crate::selection::ResidentPage;
 use crate::stats::Stats;
 use crate::store::{Limits, Outcome, PageName, Request, Store, Work};
 use crate::words::in_words;
+
+/// Threads that may wait.
+pub(crate) trait Threads {
+    /// Has one of them do something.
+    fn start(&self, work: impl FnOnce() + Send + 'static);
+}
+
+impl Threads for Handle {
+    fn start(&self, work: impl FnOnce() + Send + 'static) {
+        self.spawn_blocking(work);
+    }
+}
 
 /// What sessions and loads share.
 #[derive(Debug)]
@@ -55,44 +68,40 @@ impl Shared {
     /// Waits for whoever else works on the tables: microseconds, but never for the frame.
     pub(crate) fn store(&self) -> MutexGuard<'_, Store> {
         // Every change leaves the tables whole before it can panic, but for a passed budget.
-        self.store.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.store)
     }
 
     /// The tables, if nobody works on them.
     pub(crate) fn try_store(&self) -> Option<MutexGuard<'_, Store>> {
-        match self.store.try_lock() {
-            Ok(store) => Some(store),
-            Err(std::sync::TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
-            Err(std::sync::TryLockError::WouldBlock) => None,
-        }
+        try_lock(&self.store)
     }
 
     /// What sessions look ahead for, unless somebody else is at it.
     pub(crate) fn try_lookouts(&self) -> Option<MutexGuard<'_, Lookouts>> {
-        self.lookouts.try_lock().ok()
+        try_lock(&self.lookouts)
     }
 
     pub(crate) fn lookouts(&self) -> MutexGuard<'_, Lookouts> {
-        self.lookouts.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.lookouts)
     }
 
     pub(crate) fn scene(&self) -> Arc<Scene> {
-        Arc::clone(&self.scene.lock().unwrap_or_else(PoisonError::into_inner))
+        Arc::clone(&lock(&self.scene))
     }
 
     /// The datasets of now, if nobody is just replacing them.
     pub(crate) fn try_scene(&self) -> Option<Arc<Scene>> {
-        self.scene.try_lock().ok().map(|scene| Arc::clone(&scene))
+        try_lock(&self.scene).map(|scene| Arc::clone(&scene))
     }
 
     /// Makes another scene visible to every session, unless it does not follow from the present
     /// one; whether it did.
     pub(crate) fn replace_scene(&self, before: &Arc<Scene>, after: Scene) -> bool {
-        let mut scene = self.scene.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut scene = lock(&self.scene);
         let current = Arc::ptr_eq(&scene, before);
         if current {
             let before = std::mem::replace(&mut *scene, Arc::new(after));
-            self.retired.lock().unwrap_or_else(PoisonError::into_inner).push(before);
+            lock(&self.retired).push(before);
         }
         let after = Arc::clone(&scene);
         drop(scene);
@@ -113,10 +122,12 @@ impl Shared {
 
     /// There are requests, or memory for them.
     pub(crate) fn wake(&self) {
+        step();
         self.wake.notify_one();
     }
 
     pub(crate) fn tell(&self) {
+        step();
         self.news.send_modify(|news| *news = news.wrapping_add(1));
     }
 
@@ -125,30 +136,29 @@ impl Shared {
     /// # Cancel safety
     ///
     /// Dropping it between loads starts no more; those under way end in the store.
-    pub(crate) async fn dispatch(self: Arc<Self>) {
-        let runtime = Handle::current();
+    pub(crate) async fn dispatch(self: Arc<Self>, threads: impl Threads) {
         loop {
             self.wake.notified().await;
-            self.start(&runtime);
+            self.start(&threads);
         }
     }
 
     /// Starts as many loads as may run, looks ahead, and tells media what may come. For whoever can wait
     /// for threads to be started.
-    pub(crate) fn start(self: &Arc<Self>, runtime: &Handle) {
+    pub(crate) fn start(self: &Arc<Self>, threads: &impl Threads) {
         while let Some(request) = self.next() {
             let shared = Arc::clone(self);
             let load = Load { shared, work: request.work, ended: false };
-            runtime.spawn_blocking(move || load.run(&request));
+            threads.start(move || load.run(&request));
         }
         while let Some(look) = self.next_look() {
             let shared = Arc::clone(self);
-            runtime.spawn_blocking(move || shared.look(look));
+            threads.start(move || shared.look(look));
         }
         let advice = self.store().take_advice();
         if !advice.is_empty() {
             let shared = Arc::clone(self);
-            runtime.spawn_blocking(move || shared.advise(&advice));
+            threads.start(move || shared.advise(&advice));
         }
     }
 
@@ -206,15 +216,19 @@ impl Shared {
                 self.tell();
             }
             last = now;
-            let mut retired = self.retired.lock().unwrap_or_else(PoisonError::into_inner);
-            let unused = |scene: &mut Arc<Scene>| Arc::strong_count(scene) == 1;
-            let unused: Vec<_> = retired.extract_if(.., unused).collect();
-            drop(retired);
-            if !unused.is_empty() {
-                // What was on the screen when its dataset went is in nobody's way any more.
-                let now = self.scene();
-                self.store().forget(|number| now.place(number).is_none());
-            }
+            self.let_go();
+        }
+    }
+
+    /// Lets go of scenes that nobody draws any more, and of what was on the screen when its dataset went.
+    pub(crate) fn let_go(&self) {
+        let mut retired = lock(&self.retired);
+        let unused = |scene: &mut Arc<Scene>| Arc::strong_count(scene) == 1;
+        let unused: Vec<_> = retired.extract_if(.., unused).collect();
+        drop(retired);
+        if !unused.is_empty() {
+            let now = self.scene();
+            self.store().forget(|number| now.place(number).is_none());
         }
     }
 }

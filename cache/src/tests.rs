@@ -8,6 +8,7 @@ mod failing;
 mod faulty;
 mod frames;
 mod loading;
+mod models;
 mod opening;
 mod orders;
 

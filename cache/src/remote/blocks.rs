@@ -12,10 +12,12 @@
 use std::fs::{self, File};
 use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use std::time::{Duration, SystemTime};
 
 use xxhash_rust::xxh3::xxh3_64;
+
+use crate::locks::lock;
 
 /// Bytes of a block, but of an archive's last.
 pub(super) const BLOCK_BYTES: u64 = 128 << 10;
@@ -100,7 +102,7 @@ impl Blocks {
         if length > self.most_bytes {
             return;
         }
-        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = lock(&self.state);
         if state.held + length > self.most_bytes || state.written > self.most_bytes / LOOKS {
             self.look(&mut state, length);
         }

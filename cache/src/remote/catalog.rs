@@ -15,6 +15,7 @@ use super::blocks::{Blocks, is_content};
 use super::client::{Client, RemoteError};
 use super::pages::RemotePages;
 use super::source::HttpSource;
+use crate::locks::lock;
 use crate::selection::DatasetInfo;
 
 /// Archives opened at a time: each takes a few answers, one after another.
@@ -189,7 +190,7 @@ pub(crate) fn each<L: Sync, T: Send>(
             listed.get(place).map(|listed| (place, listed))
         } {
             let result = open(listed);
-            opened.lock().unwrap_or_else(PoisonError::into_inner).push((place, result));
+            lock(&opened).push((place, result));
             told(done.fetch_add(1, Relaxed) + 1);
         }
     };

@@ -5,10 +5,12 @@
 //!                                └──▶ whoever waits for losses asks anew what is there
 //! ```
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
+
+use crate::locks::lock;
 
 /// How long others fail at once after a request that found nobody: a vanished network is not asked
 /// by every page.
@@ -34,26 +36,26 @@ impl Link {
 
     /// Why it is not worth asking now.
     pub(super) fn silence(&self) -> Option<String> {
-        let outage = self.outage.lock().unwrap_or_else(PoisonError::into_inner);
+        let outage = lock(&self.outage);
         let outage = outage.as_ref().filter(|outage| Instant::now() < outage.until)?;
         Some(outage.reason.clone())
     }
 
     /// Whether the last to ask found nobody.
     pub(crate) fn is_lost(&self) -> bool {
-        self.outage.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+        lock(&self.outage).is_some()
     }
 
     /// A request found nobody.
     pub(super) fn lose(&self, reason: &str) {
         let outage = Outage { until: Instant::now() + SILENCE, reason: reason.to_owned() };
-        *self.outage.lock().unwrap_or_else(PoisonError::into_inner) = Some(outage);
+        *lock(&self.outage) = Some(outage);
         self.losses.send_modify(|losses| *losses = losses.wrapping_add(1));
     }
 
     /// An answer came.
     pub(super) fn find(&self) {
-        *self.outage.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        *lock(&self.outage) = None;
     }
 
     /// Hears of every request that finds nobody.

@@ -16,6 +16,10 @@ mod blocks;
 
 mod range;
 
+mod claims;
+
+mod kept;
+
 mod source;
 
 mod pages;

@@ -46,11 +46,14 @@ impl RemotePages {
         let source = Arc::new(source);
         let open = || Archive::open_afar(Box::new(Shared(Arc::clone(&source))));
         let archive = match open() {
-            Err(error) if source.is_kept() && !matches!(error, ArchiveError::Read { .. }) => {
-                source.forget_all();
-                open()?
-            }
-            opened => opened?,
+            Err(error) => match source.kept() {
+                Some(kept) if !matches!(error, ArchiveError::Read { .. }) => {
+                    kept.forget_all();
+                    open()?
+                }
+                _ => return Err(error),
+            },
+            Ok(archive) => archive,
         };
         Ok(Self { archive, source })
     }
@@ -68,9 +71,11 @@ impl RemotePages {
         damaged: impl Fn(&ArchiveError) -> Option<(u64, u64)>,
     ) -> Result<T, ArchiveError> {
         let result = read();
-        let extent = result.as_ref().err().filter(|_| self.source.is_kept()).and_then(damaged);
-        let Some((offset, length)) = extent else { return result };
-        self.source.forget(offset, length);
+        let damage = result.as_ref().err().and_then(damaged);
+        let (Some((offset, length)), Some(kept)) = (damage, self.source.kept()) else {
+            return result;
+        };
+        kept.forget(offset, length);
         read()
     }
 

@@ -1,12 +1,13 @@
 //! Ranges of an archive on a server, retried, in bounded time.
 
 use std::io::{self, Read as _};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use super::client::{ANSWER, Client};
 use super::link::is_nobody;
+use crate::locks::lock;
 
 /// How often a read is tried, with waits of 0.1, 0.2 and 0.4 s between.
 const TRIES: u32 = 4;
@@ -85,7 +86,7 @@ impl Ranges {
         start: u64,
         is_wanted: &dyn Fn() -> bool,
     ) -> io::Result<()> {
-        let missing = self.missing.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let missing = lock(&self.missing).clone();
         if let Some((until, reason)) = missing
             && Instant::now() < until
         {
@@ -119,7 +120,7 @@ impl Ranges {
                 Err(Trouble::Missing(error)) => {
                     let error = in_words(error);
                     let believed = Some((Instant::now() + MISSING, error.to_string()));
-                    *self.missing.lock().unwrap_or_else(PoisonError::into_inner) = believed;
+                    *lock(&self.missing) = believed;
                     return Err(error);
                 }
                 Err(Trouble::Nobody(_) | Trouble::Passing(_)) => thread::sleep(wait),

@@ -33,10 +33,12 @@ impl Core {
 
 #[cfg(target_os = "linux")]
 mod system {
-    use std::sync::{Arc, Mutex, PoisonError};
+    use std::sync::{Arc, Mutex};
 
     use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
     use tracing::debug;
+
+    use crate::locks::lock;
 
     /// A thread's core, and where it could be before it kept to it last.
     #[derive(Clone, Debug)]
@@ -61,7 +63,7 @@ mod system {
             let mut one = CpuSet::new();
             one.set(self.number);
             let stayed = sched_getaffinity(None).and_then(|before| {
-                *self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner) = Some(before);
+                *lock(&self.elsewhere) = Some(before);
                 // Where it must not be any more, it does not go.
                 if before.is_set(self.number) { sched_setaffinity(None, &one) } else { Ok(()) }
             });
@@ -76,7 +78,7 @@ mod system {
 
         /// Lets this thread go where the one that keeps to the core could before.
         pub(in super::super) fn leave(&self) {
-            let elsewhere = *self.elsewhere.lock().unwrap_or_else(PoisonError::into_inner);
+            let elsewhere = *lock(&self.elsewhere);
             let left = elsewhere.map_or(Ok(()), |elsewhere| sched_setaffinity(None, &elsewhere));
             if let Err(error) = left {
                 debug!(core = self.number, error = &error as &dyn std::error::Error, "not left");

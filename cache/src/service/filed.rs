@@ -18,7 +18,7 @@
 use std::fs::File;
 use std::io::{self, IoSlice};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, Weak};
 use std::task::{Context, Poll, ready};
 
 use areoid_formats::archive::{Archive, PageEntry};
@@ -26,6 +26,7 @@ use tokio::io::Interest;
 use tokio::net::TcpStream;
 
 use super::lanes::Counted;
+use crate::locks::lock;
 use system::State;
 
 /// Fewer bytes than that are copied faster than they are found in a file.
@@ -118,7 +119,7 @@ impl Outbox {
     }
 
     fn all(&self) -> MutexGuard<'_, Vec<Sending>> {
-        self.all.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.all)
     }
 
     /// `bytes` are those of `filed`, and stay where they are as long as what is returned; nothing is where

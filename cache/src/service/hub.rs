@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, RwLock};
 
 use areoid_formats::address::PageAddress;
 use areoid_formats::catalog::{Catalog, CatalogError};
@@ -16,6 +16,7 @@ use super::listen::Limits;
 use super::metrics::{Gauges, Metrics};
 use super::pages::StoredPage;
 use super::snapshot::{Served, Snapshot, make_room};
+use crate::locks::{lock, read, write};
 
 /// Which page of what is served.
 pub(super) type PageKey = (u64, PageAddress);
@@ -94,7 +95,7 @@ impl Hub {
     }
 
     pub(super) fn now(&self) -> Arc<Snapshot> {
-        Arc::clone(&self.now.read().unwrap_or_else(PoisonError::into_inner))
+        Arc::clone(&read(&self.now))
     }
 
     pub(super) fn folder(&self) -> &Path {
@@ -113,7 +114,7 @@ impl Hub {
         if shown.unread() == 0 && newest.is_none_or(|newest| newest <= shown.generation) {
             return Ok(());
         }
-        let _changing = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
+        let _changing = lock(&self.changing);
         let before = self.now();
         let next = Snapshot::newest(&self.folder, Some(&before))?;
         if next.generation > before.generation
@@ -165,7 +166,7 @@ impl Hub {
         &self,
         change: impl FnOnce(&mut std::collections::BTreeMap<String, Arc<Served>>) -> bool,
     ) -> bool {
-        let _changing = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
+        let _changing = lock(&self.changing);
         let before = self.now();
         let mut datasets = before.datasets.clone();
         let changed = change(&mut datasets);
@@ -178,7 +179,7 @@ impl Hub {
     /// The one step that counts, and word of it.
     fn show(&self, before: &Snapshot, next: Snapshot) {
         let next = Arc::new(next);
-        *self.now.write().unwrap_or_else(PoisonError::into_inner) = Arc::clone(&next);
+        *write(&self.now) = Arc::clone(&next);
         debug!(generation = next.generation, datasets = next.datasets.len(), "catalog changed");
         for (name, served) in &next.datasets {
             match before.datasets.get(name) {
@@ -224,10 +225,74 @@ pub(super) async fn stopped(stopping: &mut watch::Receiver<bool>) {
 
 #[cfg(test)]
 mod tests {
-    use areoid_formats::catalog::DatasetRecord;
+    use std::collections::BTreeSet;
+
+    use areoid_formats::catalog::{DatasetRecord, RealDisk, remove_dataset};
+    use shuttle::thread;
 
     use super::*;
+    use crate::locks::model::{check, orders};
     use crate::tests::globe_in_a_catalog;
+
+    fn guest(of: &DatasetRecord, name: &str) -> Vec<Arc<Served>> {
+        let record = DatasetRecord { name: name.to_owned(), ..of.clone() };
+        vec![Served::new(record, Err("not read".to_owned()), true)]
+    }
+
+    /// Datasets are added, taken away and removed from the disk at once: whoever listened, and then looked, knows
+    /// by the events what there is in the end.
+    #[test]
+    fn events_tell_what_became_of_a_snapshot_in_any_order() {
+        check(orders(300), || {
+            let folder = globe_in_a_catalog();
+            let hub = Arc::new(Hub::open(folder.path(), 1 << 20, Limits::default()).unwrap());
+            let globe = hub.now().datasets["globe"].record.clone();
+            let names = |hub: &Hub| hub.now().datasets.keys().cloned().collect::<BTreeSet<_>>();
+            let adds = |names: [&'static str; 3], takes: &'static str| {
+                let (hub, globe) = (Arc::clone(&hub), globe.clone());
+                thread::spawn(move || {
+                    for name in names {
+                        assert!(hub.add(guest(&globe, name)));
+                    }
+                    hub.take(takes).unwrap();
+                })
+            };
+            let one = adds(["a", "b", "c"], "b");
+            let other = adds(["b", "c", "d"], "a");
+            let (removing, path) = (Arc::clone(&hub), folder.path().to_owned());
+            let removes = thread::spawn(move || {
+                remove_dataset(&RealDisk, &path, "globe").unwrap();
+                removing.refresh().unwrap();
+            });
+            let listening = Arc::clone(&hub);
+            let listens = thread::spawn(move || {
+                let events = listening.events.subscribe();
+                let before = listening.now();
+                for _ in 0..3 {
+                    thread::yield_now();
+                    assert!(listening.now().generation >= before.generation);
+                }
+                (events, before)
+            });
+            let (mut events, before) = listens.join().unwrap();
+            for thread in [one, other, removes] {
+                thread.join().unwrap();
+            }
+            let mut known: BTreeSet<String> = before.datasets.keys().cloned().collect();
+            while let Ok(event) = events.try_recv() {
+                let (_, data) = event.split_once("data: ").unwrap();
+                let data: serde_json::Value = serde_json::from_str(data).unwrap();
+                let name = data["dataset"].as_str().unwrap().to_owned();
+                if event.contains("event: removed") {
+                    known.remove(&name);
+                } else {
+                    known.insert(name);
+                }
+            }
+            assert_eq!(known, names(&hub));
+            assert!(known.contains("d") && !known.contains("globe"), "{known:?}");
+        });
+    }
 
     /// It was published while what is temporary was built.
     #[test]

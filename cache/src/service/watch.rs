@@ -1,9 +1,11 @@
 //! What is under way on a connection: requests that are open, and pieces that wait to be taken.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep};
+
+use crate::locks::lock;
 
 /// A piece of that many bytes, or of fewer, is to be taken within the patience; of twice as many within
 /// twice that, and so on.
@@ -59,7 +61,7 @@ impl Watch {
     }
 
     fn account(&self) -> MutexGuard<'_, Account> {
-        self.account.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.account)
     }
 
     /// Counts a request until it is dropped.
