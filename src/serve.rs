@@ -1,20 +1,22 @@
 //! `areoid serve`.
 
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::{AddrParseError, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::str::FromStr;
 use std::time::Duration;
 
-use areoid_cache::service::{Admin, Limits, Options, run};
+use areoid_cache::service::{Admin, Limits, Options, Service, ServiceError, run};
 use serde::{Deserialize, Serialize};
+use tracing::warn;
 
 use crate::failure::Failure;
 use crate::output;
 
 /// Serve a catalog over HTTP until asked to end; asked twice, end at once.
 ///
-/// Anybody may read. Datasets come and go through a second listener, for which --admin and
-/// --token-file are needed.
+/// Anybody may read. What state it is in is told by a second listener; datasets come and go through
+/// that, for which --token-file is needed.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The catalog.
@@ -46,9 +48,10 @@ struct Settings {
     #[arg(long, value_name = "MIB")]
     memory_mib: Option<u64>,
 
-    /// Where state, counters and changes are; beyond the loopback only with a token [default: nowhere].
-    #[arg(long, value_name = "ADDRESS:PORT")]
-    admin: Option<SocketAddr>,
+    /// Where state, counters and changes are, or `none`; beyond the loopback only with a token [default: on
+    /// the loopback, at the port after the one of --listen, if that is free].
+    #[arg(long, value_name = "ADDRESS:PORT|none")]
+    admin: Option<Door>,
 
     /// A file whose first line is the token of whoever may change the catalog: at least 16 characters.
     #[arg(long, value_name = "FILE")]
@@ -92,6 +95,48 @@ struct Settings {
     log_json: Option<bool>,
 }
 
+/// Where the second listener is to be, if anywhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+enum Door {
+    At(SocketAddr),
+    None,
+}
+
+impl FromStr for Door {
+    type Err = AddrParseError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        if text == "none" { Ok(Self::None) } else { text.parse().map(Self::At) }
+    }
+}
+
+impl TryFrom<String> for Door {
+    type Error = AddrParseError;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse()
+    }
+}
+
+impl From<Door> for String {
+    fn from(door: Door) -> Self {
+        match door {
+            Door::At(address) => address.to_string(),
+            Door::None => "none".to_owned(),
+        }
+    }
+}
+
+impl Door {
+    /// Behind that of anybody, where nobody else comes.
+    fn behind(listen: SocketAddr) -> Self {
+        // Any port has any port behind it; the last has none.
+        let port = if listen.port() == 0 { Some(0) } else { listen.port().checked_add(1) };
+        port.map_or(Self::None, |port| Self::At((Ipv4Addr::LOCALHOST, port).into()))
+    }
+}
+
 const LISTEN: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 8360);
 const MEMORY_MIB: u64 = 512;
 
@@ -127,8 +172,9 @@ impl Settings {
     }
 
     fn options(self, folder: PathBuf) -> Result<Options, Failure> {
-        if self.admin.is_none() && (self.token_file.is_some() || !self.allow.is_empty()) {
-            let reason = "--token-file and --allow are of no use without --admin";
+        let admin = self.admin.unwrap_or(Door::None);
+        if admin == Door::None && (self.token_file.is_some() || !self.allow.is_empty()) {
+            let reason = "--token-file and --allow are of no use with --admin none";
             return Err(Failure::Misused(reason.to_owned()));
         }
         let default = Limits::default();
@@ -137,11 +183,12 @@ impl Settings {
             folder,
             listen: self.listen.unwrap_or(LISTEN),
             memory_bytes: self.memory_mib.unwrap_or(MEMORY_MIB).saturating_mul(1 << 20),
-            admin: self.admin.map(|listen| Admin {
-                listen,
-                token_file: self.token_file,
-                allowed: self.allow,
-            }),
+            admin: match admin {
+                Door::At(listen) => {
+                    Some(Admin { listen, token_file: self.token_file, allowed: self.allow })
+                }
+                Door::None => None,
+            },
             threads: self.threads,
             limits: Limits {
                 connections: self.max_connections.unwrap_or(default.connections),
@@ -158,23 +205,30 @@ impl Settings {
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
         let file = self.config.as_deref().map(read_config).transpose()?.unwrap_or_default();
-        let settings = self.settings.over(file);
+        let mut settings = self.settings.over(file);
+        let asked = settings.admin.is_some() || settings.token_file.is_some();
+        settings.admin.get_or_insert_with(|| Door::behind(settings.listen.unwrap_or(LISTEN)));
         if self.print_config {
             output::line(toml::to_string(&settings)?.trim_end())?;
             return Ok(ExitCode::SUCCESS);
         }
         log(settings.log_json == Some(true));
         let options = settings.options(self.catalog)?;
-        run(&options, |service| {
-            let admin = service.admin().map(|admin| format!(", changed on {admin}"));
-            output::say(format_args!(
-                "serving on http://{}{}",
-                service.public(),
-                admin.unwrap_or_default()
-            ));
-        })?;
+        let place = options.admin.as_ref().map(|admin| admin.listen);
+        match run(&options, say) {
+            Err(ServiceError::Listen { address, source }) if !asked && place == Some(address) => {
+                warn!(%address, %source, "no second listener");
+                run(&Options { admin: None, ..options }, say)?;
+            }
+            ended => ended?,
+        }
         Ok(ExitCode::SUCCESS)
     }
+}
+
+fn say(service: &Service) {
+    let admin = service.admin().map(|admin| format!(", changed on {admin}")).unwrap_or_default();
+    output::say(format_args!("serving on http://{}{admin}", service.public()));
 }
 
 fn read_config(path: &Path) -> Result<Settings, Failure> {

@@ -273,7 +273,7 @@ fn a_picture_of_a_server_is_that_of_its_folder() {
     use std::io::BufRead as _;
 
     let mut serving = areoid();
-    serving.arg("serve").arg(&CATALOG.1).args(["--listen", "127.0.0.1:0"]);
+    serving.arg("serve").arg(&CATALOG.1).args(["--listen", "127.0.0.1:0", "--admin", "none"]);
     let mut serving = Serving(serving.stderr(std::process::Stdio::piped()).spawn().unwrap());
     let lines = std::io::BufReader::new(serving.0.stderr.take().unwrap()).lines();
     let mut said = lines.map(Result::unwrap);

@@ -184,7 +184,7 @@ fn planet(name: &str, grid: Grid, kind: Kind) -> (Description, Vec<u8>) {
 
 /// What reads have to pass.
 #[derive(Debug, Default)]
-struct Gate {
+pub(crate) struct Gate {
     /// Reads that may pass before the gate is shut; `None` for all.
     allowed: Mutex<Option<usize>>,
     opened: Condvar,
@@ -196,12 +196,17 @@ struct Gate {
 }
 
 impl Gate {
-    fn allow(&self, reads: Option<usize>) {
+    pub(crate) fn allow(&self, reads: Option<usize>) {
         *self.allowed.lock().unwrap() = reads;
         self.opened.notify_all();
     }
 
-    fn fail(&self, failing: bool) {
+    /// Reads that have passed.
+    pub(crate) fn passed(&self) -> usize {
+        self.reads.lock().unwrap().len()
+    }
+
+    pub(crate) fn fail(&self, failing: bool) {
         self.failing.store(failing, Relaxed);
     }
 
@@ -244,14 +249,18 @@ impl ByteSource for GatedSource {
 }
 
 /// A dataset behind a gate that stands open.
-struct Gated {
+pub(crate) struct Gated {
     info: DatasetInfo,
-    archive: Arc<Archive>,
-    gate: Arc<Gate>,
-    entries: Vec<PageEntry>,
+    pub(crate) archive: Arc<Archive>,
+    pub(crate) gate: Arc<Gate>,
+    pub(crate) entries: Vec<PageEntry>,
 }
 
 impl Gated {
+    pub(crate) fn globe() -> Self {
+        Self::new("globe", globe(), Kind::Height)
+    }
+
     fn new(name: &str, grid: Grid, kind: Kind) -> Self {
         let (description, bytes) = planet(name, grid, kind);
         Self::from_bytes(description, bytes)

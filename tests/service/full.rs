@@ -44,7 +44,7 @@ fn a_full_disk_ends_an_insertion_and_nothing_else() {
     let insert = |temporary: bool| {
         let body = place.insertion("new", json!({ "temporary": temporary }));
         let headers = [("authorization", authorization.as_str())];
-        ask(server.admin, "POST", "/v1/datasets", &headers, &body).text()
+        ask(server.admin(), "POST", "/v1/datasets", &headers, &body).text()
     };
     let archive = fs::metadata(place.archive()).unwrap().len();
 
@@ -66,6 +66,6 @@ fn a_full_disk_ends_an_insertion_and_nothing_else() {
         disk.resize(PLENTY);
         assert!(insert(temporary).contains("inserted"));
         let headers = [("authorization", authorization.as_str())];
-        assert_eq!(ask(server.admin, "DELETE", "/v1/datasets/new", &headers, "").status, 200);
+        assert_eq!(ask(server.admin(), "DELETE", "/v1/datasets/new", &headers, "").status, 200);
     }
 }

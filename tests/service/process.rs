@@ -2,14 +2,15 @@
 
 use std::fs;
 use std::io::{Read as _, Write as _};
-use std::net::TcpStream;
+use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::path::Path;
+use std::process::Command;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
 
-use super::rig::{Place, begin_to_insert, connect, eventually, exchange, get, rest, soak};
+use super::rig::{Place, ask, begin_to_insert, connect, eventually, exchange, get, rest, soak};
 use super::server::Process;
 
 /// Asks for an archive more often than any socket buffers, and does not read.
@@ -22,7 +23,7 @@ fn stall(process: &Process, place: &Place) -> TcpStream {
     // Stuck, and not only under way: again and again the same.
     let (mut before, mut looks) = (String::new(), 0);
     eventually("it is stuck", || {
-        let metrics = get(process.admin, "/metrics").text();
+        let metrics = get(process.admin(), "/metrics").text();
         let is_same = metrics == before && metrics.contains("requests_in_flight 1");
         (before, looks) = (metrics, if is_same { looks + 1 } else { 0 });
         looks == 20
@@ -53,6 +54,46 @@ fn asked_to_end_it_finishes_what_it_has_begun() {
     assert!(process.child.wait().unwrap().success());
 }
 
+/// A port of the loopback with nobody there nor at the next.
+fn two_ports() -> u16 {
+    let is_free = |port: u16| TcpListener::bind((Ipv4Addr::LOCALHOST, port)).is_ok();
+    let any = |_| TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let pair = |port: &u16| port.checked_add(1).is_some_and(is_free) && is_free(*port);
+    (0..100).map(any).find(pair).unwrap()
+}
+
+#[test]
+fn its_state_is_told_on_the_loopback_behind_the_public_port() {
+    let place = Place::new();
+    let start = |listen: &str, admin: &[&str]| {
+        let options = [&["--listen", listen][..], admin].concat();
+        Process::start_bare(&place.catalog(), &options)
+    };
+    let listen = format!("127.0.0.1:{}", two_ports());
+    let process = start(&listen, &[]);
+    assert_eq!(process.admin().port(), process.public.port() + 1);
+    assert!(process.admin().ip().is_loopback());
+    assert_eq!(get(process.admin(), "/livez").status, 200);
+    let change = ask(process.admin(), "DELETE", "/v1/datasets/pole", &[], "");
+    assert_eq!(change.status, 403, "without a token nobody changes anything");
+    // What others have taken is done without, unless it was asked for.
+    let port = process.public.port();
+    drop(process);
+    let _other = TcpListener::bind((Ipv4Addr::LOCALHOST, port + 1)).unwrap();
+    let process = start(&listen, &[]);
+    assert!(!process.has_admin() && get(process.public, "/v1/catalog").status == 200);
+    drop(process);
+    let output = Command::new(env!("CARGO_BIN_EXE_areoid"))
+        .arg("serve")
+        .arg(place.catalog())
+        .args(["--listen", &listen, "--admin", &format!("127.0.0.1:{}", port + 1)])
+        .output()
+        .unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && said.contains("cannot listen on"), "{said}");
+    assert!(!start("127.0.0.1:0", &["--admin", "none"]).has_admin());
+}
+
 #[test]
 fn asked_twice_it_ends_at_once() {
     let place = Place::new();
@@ -61,7 +102,7 @@ fn asked_twice_it_ends_at_once() {
     let _stream = stall(&process, &place);
     let start = Instant::now();
     process.signal("-TERM");
-    eventually("nobody is taken any more", || TcpStream::connect(process.admin).is_err());
+    eventually("nobody is taken any more", || TcpStream::connect(process.admin()).is_err());
     assert!(process.child.try_wait().unwrap().is_none(), "it does not wait for whom it serves");
     process.signal("-TERM");
     process.child.wait().unwrap();
@@ -135,7 +176,7 @@ fn during_an_insertion_each_thread_that_answers_has_a_core_of_its_own() {
     // A thread is called by its name once it runs.
     eventually("all have begun", || lists().len() == cores);
     let before = lists();
-    let inserting = bodies.map(|body| begin_to_insert(process.admin, &body));
+    let inserting = bodies.map(|body| begin_to_insert(process.admin(), &body));
     eventually("each has its own", || {
         let mut lists = lists();
         lists.sort();
@@ -154,7 +195,7 @@ fn asked_to_end_during_an_insertion_that_nobody_waits_for_it_leaves_nothing() {
     let place = Place::new();
     let body = long_insertion(&place, "new");
     let mut process = Process::start(&place, "");
-    let stream = begin_to_insert(process.admin, &body);
+    let stream = begin_to_insert(process.admin(), &body);
     let builds = || fs::read_dir(place.catalog().join("build")).map_or(0, Iterator::count);
     eventually("it builds", || builds() > 0);
     drop(stream);
@@ -181,7 +222,7 @@ fn killed_during_an_insertion_it_has_lost_nothing() {
             "new",
             json!({ "temporary": round % 2 == 0, "force": true, "priority": round }),
         );
-        let mut stream = begin_to_insert(process.admin, &body);
+        let mut stream = begin_to_insert(process.admin(), &body);
         stream.read_exact(&mut [0; 12]).unwrap();
         thread::sleep(Duration::from_millis(40 * (round % 7)));
         process.child.kill().unwrap();

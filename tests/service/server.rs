@@ -12,7 +12,7 @@ use super::rig::Place;
 pub(crate) struct Process {
     pub(crate) child: Child,
     pub(crate) public: SocketAddr,
-    pub(crate) admin: SocketAddr,
+    admin: Option<SocketAddr>,
 }
 
 impl Process {
@@ -39,13 +39,25 @@ impl Process {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
-        let line = lines.find(|line| line.starts_with("serving on http://")).unwrap();
-        // Whoever does not read would stop it.
-        thread::spawn(move || lines.for_each(drop));
-        let (public, admin) = line.split_once(", changed on ").unwrap();
-        let public = public.strip_prefix("serving on http://").unwrap().parse().unwrap();
-        Self { child, public, admin: admin.parse().unwrap() }
+        let (public, admin) = listening(&mut child);
+        Self { child, public, admin }
+    }
+
+    /// With these options alone.
+    pub(crate) fn start_bare(catalog: &Path, options: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_areoid"));
+        command.arg("serve").arg(catalog).args(options).stderr(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let (public, admin) = listening(&mut child);
+        Self { child, public, admin }
+    }
+
+    pub(crate) fn has_admin(&self) -> bool {
+        self.admin.is_some()
+    }
+
+    pub(crate) fn admin(&self) -> SocketAddr {
+        self.admin.unwrap()
     }
 
     pub(crate) fn signal(&self, signal: &str) {
@@ -58,5 +70,19 @@ impl Drop for Process {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
+    }
+}
+
+/// Where a service that begins says that it listens.
+fn listening(child: &mut Child) -> (SocketAddr, Option<SocketAddr>) {
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let line = lines.find_map(|line| Some(line.strip_prefix("serving on http://")?.to_owned()));
+    // Whoever does not read would stop it.
+    thread::spawn(move || lines.for_each(drop));
+    let line = line.unwrap();
+    let address = |text: &str| text.parse().unwrap();
+    match line.split_once(", changed on ") {
+        Some((public, admin)) => (address(public), Some(address(admin))),
+        None => (address(&line), None),
     }
 }

@@ -128,7 +128,7 @@ impl<'a> Crowd<'a> {
             cache,
             place,
             public: server.public,
-            admin: server.admin,
+            admin: server.admin(),
             sessions: vec![cache.session(), cache.session()],
             truth: truth.collect(),
             changes: AtomicU64::new(0),

@@ -45,6 +45,9 @@ mod mutate;
 
 mod run;
 
+#[cfg(test)]
+mod slow;
+
 pub use listen::Limits;
 pub use options::{Admin, Options, ServiceError};
 pub use run::{Service, run};

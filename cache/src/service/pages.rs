@@ -174,7 +174,9 @@ fn stored(archive: &Archive, page: PageAddress) -> Result<StoredPage, NoPage> {
     let (mut origin, mut bytes) = (Origin::of(archive, entry), archive.payload(&entry)?);
     if origin.is_none() && !bytes.is_empty() {
         origin = Origin::of(archive, entry);
-        bytes = archive.payload(&entry)?;
+        if origin.is_some() {
+            bytes = archive.payload(&entry)?;
+        }
     }
     Ok(StoredPage::new(&entry, bytes, origin))
 }

@@ -140,6 +140,11 @@ impl Service {
         Ok(())
     }
 
+    #[cfg(test)]
+    pub(super) fn hub(&self) -> &Hub {
+        &self.hub
+    }
+
     /// Where anybody may ask.
     #[must_use]
     pub fn public(&self) -> SocketAddr {

@@ -5,7 +5,7 @@ use super::*;
 /// Pages by name, one after another and beside a session that flies on.
 #[test]
 fn single_pages_are_loaded_for_whoever_asks() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 2);
     let mut session = cache.session();
     for (step, entry) in globe.entries.iter().enumerate().take(60) {
@@ -31,8 +31,7 @@ fn single_pages_are_loaded_for_whoever_asks() {
 #[test]
 fn a_selection_knows_heights_as_well_as_it_says() {
     use areoid_formats::query::HeightQuery;
-    let (globe, cap) =
-        (Gated::new("globe", globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height));
+    let (globe, cap) = (Gated::globe(), Gated::new("cap", cap(), Kind::Height));
     let cache = globe.cache(PLENTY, 2);
     cache.insert(cap.info.clone(), Arc::clone(&cap.archive) as _).unwrap();
     let mut session = cache.session();
@@ -68,7 +67,7 @@ fn a_selection_knows_heights_as_well_as_it_says() {
 /// Of pages over one another the finest answers.
 #[test]
 fn a_height_is_that_of_the_finest_page() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 2);
     let settled = cache.session().settle(&view(0.0, 0.0, 1e7, 0.0));
     let grid = &globe.info.grid;

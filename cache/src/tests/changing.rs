@@ -14,8 +14,8 @@ fn numbers(selection: &Selection) -> BTreeSet<usize> {
 /// The old pages stay on the screen, wherever the view moves to, until the new ones are there.
 #[test]
 fn a_replaced_dataset_is_drawn_until_the_new_one_is_there() {
-    let old = Gated::new("globe", globe(), Kind::Height);
-    let new = Gated::new("globe", globe(), Kind::Height);
+    let old = Gated::globe();
+    let new = Gated::globe();
     let cache = old.cache(PLENTY, 2);
     let mut session = cache.session();
     let near = view(10.0, 20.0, 3e5, 30.0);
@@ -89,7 +89,7 @@ fn a_leap_to_and_fro_leaves_no_hole() {
 /// Nothing is read of what a user has switched off, and it is there again when it is switched on.
 #[test]
 fn what_is_hidden_is_not_loaded() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let colors = Gated::new("colors", cap(), Kind::Color);
     let cache = globe.cache(PLENTY, 2);
     cache.insert(colors.info.clone(), Arc::clone(&colors.archive) as _).unwrap();
@@ -110,8 +110,7 @@ fn what_is_hidden_is_not_loaded() {
 /// What cannot be loaded in time is not waited for: the catalog of now is shown with what there is.
 #[test]
 fn a_change_is_shown_within_its_time() {
-    let (old, new) =
-        (Gated::new("globe", globe(), Kind::Height), Gated::new("globe", globe(), Kind::Height));
+    let (old, new) = (Gated::globe(), Gated::new("globe", globe(), Kind::Height));
     let cache = old.cache(PLENTY, 2);
     let mut session = cache.session();
     let near = view(10.0, 20.0, 3e5, 30.0);
@@ -131,7 +130,7 @@ fn a_change_is_shown_within_its_time() {
 /// In one step, and in the place of one dataset that is called alike; and so the other way about.
 #[test]
 fn the_parts_of_a_group_come_and_go_together() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 2);
     let part = |part: &str| {
         let name = format!("cap.{part}");
@@ -159,8 +158,7 @@ fn the_parts_of_a_group_come_and_go_together() {
 
 #[test]
 fn a_removed_dataset_is_gone_and_its_memory_free() {
-    let (globe, cap) =
-        (Gated::new("globe", globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height));
+    let (globe, cap) = (Gated::globe(), Gated::new("cap", cap(), Kind::Height));
     let cache = globe.cache(PLENTY, 2);
     cache.insert(cap.info.clone(), Arc::clone(&cap.archive) as _).unwrap();
     let mut session = cache.session();
@@ -262,8 +260,7 @@ fn nobody_sees_a_mixture() {
 /// The tree stays good, and finds what there is, through many changes.
 #[test]
 fn the_tree_over_datasets_follows_all_changes() {
-    let (globe, cap) =
-        (Gated::new("globe", globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height));
+    let (globe, cap) = (Gated::globe(), Gated::new("cap", cap(), Kind::Height));
     let mut scene = crate::scene::Scene::empty(mars());
     for round in 0..300_usize {
         let made = if round % 3 == 0 { &globe } else { &cap };

@@ -165,8 +165,7 @@ fn check(datasets: &[&Gated], scene: &Scene, view: &View, exaggeration: f64) -> 
 
 #[test]
 fn named_views_cull_nothing_that_is_seen() {
-    let (globe, cap) =
-        (Gated::new("globe", globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height));
+    let (globe, cap) = (Gated::globe(), Gated::new("cap", cap(), Kind::Height));
     let scene = scene(&[&globe, &cap]);
     for (longitude, latitude, altitude, pitch) in [
         (0.0, 0.0, 1e7, 0.0),
@@ -185,7 +184,7 @@ fn named_views_cull_nothing_that_is_seen() {
 /// From low over a plain, peaks behind the horizon of the reference surface are still seen.
 #[test]
 fn peaks_behind_the_horizon_are_wanted() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let scene = scene(&[&globe]);
     let sphere = mars().ellipsoid.b().0;
     let mut beyond = 0;
@@ -202,9 +201,8 @@ fn peaks_behind_the_horizon_are_wanted() {
 
 /// The globe and the cap, made once.
 fn both() -> (&'static Gated, &'static Gated) {
-    static BOTH: LazyLock<(Gated, Gated)> = LazyLock::new(|| {
-        (Gated::new("globe", globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height))
-    });
+    static BOTH: LazyLock<(Gated, Gated)> =
+        LazyLock::new(|| (Gated::globe(), Gated::new("cap", cap(), Kind::Height)));
     (&BOTH.0, &BOTH.1)
 }
 
@@ -336,7 +334,7 @@ fn what_is_seen_is_no_nearer_than_its_sight() {
 
 #[test]
 fn an_allowance_raises_the_tolerance_to_what_fits() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let scene = scene(&[&globe]);
     let view = view(10.0, 20.0, 4e5, 60.0);
     let free = search(&scene, &mut Memo::default(), &view, usize::MAX);
@@ -377,7 +375,7 @@ fn colors_stop_where_the_bound_says_so() {
 
 #[test]
 fn what_is_remembered_changes_nothing() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let scene = scene(&[&globe]);
     let mut memo = Memo::default();
     for step in 0..40 {

@@ -37,7 +37,7 @@ fn a_damaged_page_is_told_and_stood_in_for() {
 /// A medium that fails for a while is tried again, and what it has is shown then.
 #[test]
 fn what_failed_is_tried_again() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 2);
     let mut session = cache.session();
     let near = view(10.0, 20.0, 3e5, 30.0);
@@ -62,7 +62,7 @@ fn what_failed_is_tried_again() {
 /// failed, and so is everything once the reason is gone.
 #[tokio::test(start_paused = true)]
 async fn what_fails_again_waits_twice_as_long() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let newcomer = newcomer(globe.info.clone(), Arc::clone(&globe.archive) as _).unwrap();
     let scene = Scene::empty(mars()).changed(|_| false, [newcomer]);
     let (dataset, entry) = (&scene.datasets[0], globe.entries[0]);

@@ -8,7 +8,7 @@ use super::*;
 
 #[test]
 fn an_unchanged_view_allocates_nothing() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 2);
     let mut session = cache.session();
     let near = view(10.0, 20.0, 3e5, 30.0);
@@ -29,7 +29,7 @@ fn an_unchanged_view_allocates_nothing() {
 /// Both eyes get what each would alone, from one search that looks at shared pages once.
 #[test]
 fn several_views_are_one_search() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let views = [view(10.0, 20.0, 3e5, 30.0), view(10.4, 20.0, 3e5, 30.0)];
     let alone: Vec<_> = views
         .iter()
@@ -176,7 +176,7 @@ fn media_are_told_of_what_comes_later() {
 /// What was looked away from is still there.
 #[test]
 fn looking_back_reads_nothing() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 2);
     let mut session = cache.session();
     let turn = |step: i32| view(TAU.to_degrees() / 8.0 * f64::from(step), 10.0, 4e5, 20.0);
@@ -193,7 +193,7 @@ fn looking_back_reads_nothing() {
 /// Views that are none are answered with something, and are over with the next one.
 #[test]
 fn views_that_make_no_sense_do_no_harm() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 2);
     let mut session = cache.session();
     let near = view(10.0, 20.0, 3e5, 30.0);
@@ -220,7 +220,7 @@ fn views_that_make_no_sense_do_no_harm() {
 /// The same view of terrain that is higher is another.
 #[test]
 fn what_is_exaggerated_is_selected_anew() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 2);
     let (mut session, mut other) = (cache.session(), cache.session());
     let view = view(10.0, 20.0, 2e6, 30.0);

@@ -21,7 +21,7 @@ fn with_ancestors(selection: &Selection) -> HashSet<PageAddress> {
 
 #[test]
 fn an_update_never_waits_for_a_read() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 2);
     let mut session = cache.session();
     globe.gate.allow(Some(0));
@@ -39,7 +39,7 @@ fn an_update_never_waits_for_a_read() {
 
 #[test]
 fn an_update_never_waits_for_a_lock() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 2);
     let mut session = cache.session();
     let near = view(10.0, 20.0, 3e5, 30.0);
@@ -54,7 +54,7 @@ fn an_update_never_waits_for_a_lock() {
 
 #[test]
 fn the_best_ancestor_stands_in() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 1);
     let mut session = cache.session();
     let near = view(10.0, 20.0, 3e5, 30.0);
@@ -122,7 +122,7 @@ fn the_best_ancestor_stands_in() {
 
 #[test]
 fn many_sessions_read_a_page_once() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 4);
     let barrier = Barrier::new(8);
     std::thread::scope(|scope| {
@@ -151,7 +151,7 @@ fn many_sessions_read_a_page_once() {
 
 #[test]
 fn only_what_the_view_needs_is_read() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 1);
     let mut session = cache.session();
     globe.gate.allow(Some(0));
@@ -177,7 +177,7 @@ fn only_what_the_view_needs_is_read() {
 
 #[test]
 fn a_load_nobody_wants_is_given_up() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(PLENTY, 1);
     let mut session = cache.session();
     let near = view(10.0, 20.0, 1e6, 0.0);
@@ -198,7 +198,7 @@ fn a_load_nobody_wants_is_given_up() {
 
 #[test]
 fn no_walk_passes_the_budget() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     for (budget_pages, sessions) in [(3, 1), (12, 1), (40, 1), (40, 3), (90, 2)] {
         let budget = budget_pages * 2 * PAGE;
         let cache = globe.cache(budget, 3);
@@ -232,7 +232,7 @@ fn no_walk_passes_the_budget() {
 /// One session alone always gets all of what fits into half the budget.
 #[test]
 fn a_lone_session_settles_on_any_budget() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     for pages in 2..30 {
         let cache = globe.cache(pages * 2 * PAGE, 2);
         let mut session = cache.session();
@@ -248,7 +248,7 @@ fn a_lone_session_settles_on_any_budget() {
 
 #[test]
 fn pages_in_use_are_not_evicted() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(30 * PAGE, 2);
     let (mut session, mut other) = (cache.session(), cache.session());
     let near = view(10.0, 20.0, 3e5, 30.0);
@@ -272,7 +272,7 @@ fn pages_in_use_are_not_evicted() {
 
 #[test]
 fn the_root_stays() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(24 * PAGE, 2);
     let mut session = cache.session();
     for step in 0..20 {
@@ -286,8 +286,7 @@ fn the_root_stays() {
 
 #[test]
 fn a_dataset_appears_in_one_step() {
-    let (globe, cap) =
-        (Gated::new("globe", globe(), Kind::Height), Gated::new("cap", cap(), Kind::Height));
+    let (globe, cap) = (Gated::globe(), Gated::new("cap", cap(), Kind::Height));
     let cache = globe.cache(PLENTY, 2);
     let mut session = cache.session();
     let pole = view(0.0, 88.0, 3e5, 0.0);

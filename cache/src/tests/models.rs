@@ -13,7 +13,8 @@ use crate::engine::Engine;
 use crate::loader::Threads;
 use crate::locks::model::{check, orders, without_waiting};
 use crate::scene::{Newcomer, Scene};
-use crate::store::Limits;
+use crate::stats::Stats;
+use crate::store::{Limits, PageName};
 
 /// A model's threads.
 struct Modeled;
@@ -39,22 +40,34 @@ fn newcomer(dataset: &Gated) -> Newcomer {
     Newcomer::new(dataset.info.clone(), Arc::clone(&dataset.archive) as _).unwrap()
 }
 
+/// When no load is under way any more.
+fn ended(engine: &Engine) -> Stats {
+    loop {
+        let stats = engine.shared().stats();
+        if stats.reserved_bytes == 0 {
+            return stats;
+        }
+        thread::yield_now();
+    }
+}
+
 fn numbers(selection: &Selection) -> BTreeSet<usize> {
     selection.pages.iter().map(|page| page.dataset).collect()
 }
 
-/// A page or a few.
+/// A few pages.
 fn far(longitude: f64) -> View {
-    View { tolerance_px: 10.0, ..view(longitude, 20.0, 4e6, 0.0) }
+    View { tolerance_px: 0.3, ..view(longitude, 20.0, 2e6, 0.0) }
 }
 
 /// Two threads draw, a dataset comes in the place of another: no frame waits for a lock or is a mixture,
 /// all that is wanted comes, whoever is told first, and nothing stays of what is gone.
 #[test]
 fn frames_loads_and_a_change_in_any_order() {
-    let [old, new] = [(); 2].map(|()| Arc::new(Gated::new("globe", globe(), Kind::Height)));
+    let [old, new] = [(); 2].map(|()| Arc::new(Gated::globe()));
     let adopted = Arc::new([const { AtomicUsize::new(0) }; 2]);
     let counts = Arc::clone(&adopted);
+    let gone = old.entries.clone();
     check(orders(1000), move || {
         let engine = engine(&[&old], PLENTY);
         let draw = |longitude: f64| {
@@ -96,20 +109,39 @@ fn frames_loads_and_a_change_in_any_order() {
         for thread in drawn.into_iter().chain([change]) {
             thread.join().unwrap();
         }
+        assert_eq!(ended(&engine).errors, 0);
         engine.shared().let_go();
-        let stats = engine.shared().stats();
-        assert_eq!(stats.reserved_bytes, 0, "{stats:?}");
-        assert_eq!(stats.errors, 0);
+        let store = engine.shared().store();
+        let stays = |entry: &PageEntry| store.holds(PageName { dataset: 0, page: entry.page });
+        assert!(!gone.iter().any(stays));
     });
     let [before, after] = [0, 1].map(|state| adopted[state].load(Relaxed));
     assert!(before > 20 && after > 500, "{before} {after}");
+}
+
+/// A view that is told of once is enough: its loads go on without another word.
+#[test]
+fn what_is_asked_for_once_comes_in_any_order() {
+    let globe = Arc::new(Gated::globe());
+    // What is wanted is known at once.
+    globe.archive.entries().unwrap();
+    check(orders(200), move || {
+        let engine = engine(&[&globe], PLENTY);
+        let mut session = Session::new(Arc::clone(&engine), 1);
+        let near = View { tolerance_px: 0.1, ..view(10.0, 20.0, 1e6, 30.0) };
+        let missing = session.update(&near).missing;
+        assert!(missing > 4, "{missing}");
+        while engine.shared().stats().pages < missing {
+            thread::yield_now();
+        }
+    });
 }
 
 /// More is wanted than there is room for, the medium fails and is forgiven, a session goes: the budget
 /// holds, and nobody waits in vain.
 #[test]
 fn no_room_failures_and_farewells_in_any_order() {
-    let globe = Arc::new(Gated::new("globe", globe(), Kind::Height));
+    let globe = Arc::new(Gated::globe());
     let failures = Arc::new(AtomicUsize::new(0));
     let counted = Arc::clone(&failures);
     check(orders(1000), move || {
@@ -152,8 +184,7 @@ fn no_room_failures_and_farewells_in_any_order() {
         }
         assert!(stays.join().unwrap() > 0);
         goes.join().unwrap();
-        let stats = engine.shared().stats();
-        assert_eq!(stats.reserved_bytes, 0, "{stats:?}");
+        let stats = ended(&engine);
         assert!(stats.bytes <= budget_bytes);
     });
     assert!(failures.load(Relaxed) > 20, "{failures:?}");

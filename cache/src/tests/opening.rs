@@ -79,7 +79,7 @@ fn a_catalog_opens_with_what_can_be_read() {
 
 #[tokio::test]
 async fn sessions_settle_on_any_runtime() {
-    let globe = Gated::new("globe", globe(), Kind::Height);
+    let globe = Gated::globe();
     let cache = globe.cache(OPTIONS.budget_bytes, 2);
     let mut session = cache.session();
     let settled = session.settled(&view(0.0, 0.0, 1e6, 0.0)).await;

@@ -223,7 +223,7 @@ fn play(world: &mut World, scripts: &[&[Wish]], failures: usize, chooser: &mut d
 }
 
 fn planet() -> Gated {
-    Gated::new("globe", globe(), Kind::Height)
+    Gated::globe()
 }
 
 /// Two sessions want a page and one of them no longer: every order in which that can go with its load.

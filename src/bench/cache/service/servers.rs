@@ -32,6 +32,8 @@ impl Areoid {
         if let Some((token, rasters)) = admin {
             command.args(["--admin", "127.0.0.1:0", "--token-file"]).arg(token);
             command.arg("--allow").arg(rasters);
+        } else {
+            command.args(["--admin", "none"]);
         }
         let mut child = command.stderr(Stdio::piped()).stdout(Stdio::null()).spawn()?;
         let said = child.stderr.take().map(BufReader::new);
