@@ -155,10 +155,10 @@ impl Scene {
         scene
     }
 
-    /// Builds the tree anew once half of it has changed, if that makes it better.
+    /// Builds the tree anew once an eighth of it has changed, if that makes it better.
     fn keep_tree(&mut self) {
         const FEW: usize = 64;
-        if self.changes > FEW.max(self.datasets.len() / 2) {
+        if self.changes > FEW.max(self.datasets.len() / 8) {
             let boxes = self.datasets.iter().map(|dataset| (dataset.slot, dataset.bounds()));
             let mut fresh = Bvh::build(boxes);
             for dataset in &self.datasets {

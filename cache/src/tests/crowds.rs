@@ -6,7 +6,8 @@ use super::culling::{region, scene, search};
 use super::*;
 use crate::found::Found;
 use crate::memo::Memo;
-use crate::scene::Scene;
+use crate::scene::{Newcomer, Scene};
+use areoid_formats::bvh::Bvh;
 
 /// The wanted pages, by their datasets' names.
 fn wanted(scene: &Scene, found: &Found) -> BTreeSet<(String, PageAddress)> {
@@ -15,16 +16,49 @@ fn wanted(scene: &Scene, found: &Found) -> BTreeSet<(String, PageAddress)> {
         .collect()
 }
 
+/// Small regions side by side, east to west and then north.
+fn regions() -> impl Iterator<Item = Gated> {
+    let places = (0..36 * 9).map(|place| (place % 36, place / 36));
+    places
+        .map(|(col, row)| region(10.0 * f64::from(col) - 180.0, 10.0 * f64::from(row) - 47.0))
+        .enumerate()
+        .map(|(place, grid)| Gated::new(&place.to_string(), grid, Kind::Height))
+}
+
+/// Whatever order they come and go in, a search through the tree costs not much more than through one that is
+/// built of what there is.
+#[test]
+fn the_tree_over_datasets_stays_as_good_as_a_fresh_one() {
+    let newcomer = |region: &Gated| {
+        Newcomer::new(region.info.clone(), Arc::clone(&region.archive) as _).unwrap()
+    };
+    let regions: Vec<Gated> = regions().filter(|region| !region.entries.is_empty()).collect();
+    let mut worst: f64 = 0.0;
+    let mut scene = Scene::empty(mars());
+    let mut step = |after: Scene| {
+        let boxes = after.datasets.iter().map(|dataset| (dataset.slot, dataset.bounds()));
+        worst = worst.max(after.tree.cost() / Bvh::build(boxes).cost());
+        after
+    };
+    for region in &regions {
+        scene = step(scene.changed(|_| false, [newcomer(region)]));
+    }
+    for round in 0..600 {
+        let (goes, comes) = (&regions[round * 7 % regions.len()], &regions[round % regions.len()]);
+        scene = step(scene.changed(|info| info.name == goes.info.name, []));
+        scene = step(scene.changed(|info| info.name == comes.info.name, [newcomer(comes)]));
+    }
+    for keeps in (0..regions.len()).rev().step_by(2) {
+        scene = step(scene.changed(|info| info.name == regions[keeps].info.name, []));
+    }
+    assert!(worst < 1.5, "{worst}");
+}
+
 /// What is wanted depends on sizes and errors alone, not on the order in which datasets came, which
 /// makes the tree over them; and with more room nothing goes.
 #[test]
 fn the_largest_datasets_come_first_in_whatever_order_they_came() {
-    let places = (0..36 * 9).map(|place| (place % 36, place / 36));
-    let regions: Vec<Gated> = places
-        .map(|(col, row)| region(10.0 * f64::from(col) - 180.0, 10.0 * f64::from(row) - 47.0))
-        .enumerate()
-        .map(|(place, grid)| Gated::new(&place.to_string(), grid, Kind::Height))
-        .collect();
+    let regions: Vec<Gated> = regions().collect();
     let mut regions: Vec<&Gated> =
         regions.iter().filter(|region| !region.entries.is_empty()).collect();
     let mut scenes = vec![scene(&regions)];
