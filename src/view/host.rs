@@ -14,12 +14,8 @@ use areoid_viewer::Style;
 use areoid_viewer::window::{Content, Host, Insertion, InsertionState};
 use serde_json::json;
 
+use super::saver::Saver;
 use crate::failure::in_full;
-use crate::output;
-use crate::shot::png;
-
-/// Names that are tried for a new file.
-const MOST_FILES: u32 = 10_000;
 
 /// A cache for a window. Insertions run on threads of their own, which give way to all others.
 #[derive(Debug)]
@@ -29,13 +25,14 @@ pub(super) struct CacheHost {
     /// Where rasters go, if the catalog is a folder.
     folder: Option<PathBuf>,
     insertions: Arc<Mutex<Vec<Insertion>>>,
+    saver: Saver,
 }
 
 impl CacheHost {
     pub(super) fn new(cache: Cache, folder: Option<PathBuf>) -> Self {
         let mut session = cache.session();
         session.blends = true;
-        Self { cache, session, folder, insertions: Arc::default() }
+        Self { cache, session, folder, insertions: Arc::default(), saver: Saver::new() }
     }
 }
 
@@ -88,18 +85,12 @@ impl Host for CacheHost {
         locked(&self.insertions).clone()
     }
 
-    fn save(&mut self, stem: &str, content: Content<'_>) -> Result<String, String> {
-        let (extension, bytes) = match content {
-            Content::Json(text) => ("json", text.as_bytes().to_vec()),
-            Content::Picture(picture) => {
-                ("png", png(picture.clone()).map_err(|error| error.to_string())?)
-            }
-        };
-        let names = (1..MOST_FILES).map(|number| format!("{stem}-{number:04}.{extension}"));
-        let name = names.into_iter().find(|name| !Path::new(name).exists());
-        let name = name.ok_or_else(|| format!("there are too many files called {stem}"))?;
-        output::write_file(Path::new(&name), &bytes).map_err(|failure| failure.in_full())?;
-        Ok(name)
+    fn save(&mut self, stem: &str, content: Content) {
+        self.saver.save(stem, content);
+    }
+
+    fn saved(&mut self) -> Option<Result<String, String>> {
+        self.saver.saved()
     }
 }
 

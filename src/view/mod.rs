@@ -1,6 +1,7 @@
 //! `areoid view`.
 
 mod host;
+mod saver;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

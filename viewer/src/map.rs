@@ -161,9 +161,14 @@ impl DatasetMap {
         Self { info: info.clone(), cap, factors, latitude_ratio }
     }
 
-    /// The constants for the shaders. Datasets of the same priority are blended.
+    /// The constants for the shaders. Datasets of the same priority are blended. Their number is told by a color.
     #[expect(clippy::cast_possible_truncation, reason = "sizes and ratios; no place on the planet")]
-    pub(crate) fn mirrored(&self, windows: &Windows, part: &Part) -> mirror::Dataset {
+    pub(crate) fn mirrored(
+        &self,
+        windows: &Windows,
+        part: &Part,
+        number: usize,
+    ) -> mirror::Dataset {
         let (crs, pyramid) = (self.info.grid.crs(), self.info.grid.pyramid());
         let extent = pyramid.extent();
         let body = &crs.body;
@@ -196,7 +201,8 @@ impl DatasetMap {
             deepest: windows.deepest,
             poles: u32::from(extent.north != PoleContact::None)
                 | u32::from(extent.south != PoleContact::None) << 1,
-            _pad: 0,
+            number: number as u32,
+            stops: part.stops,
         }
     }
 

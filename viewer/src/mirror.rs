@@ -24,7 +24,7 @@ pub(crate) struct Scene {
     pub(crate) eccentricity2: f32,
     pub(crate) bare: [f32; 3],
     pub(crate) pixel_angle: f32,
-    pub(crate) ramp: [[f32; 4]; 16],
+    pub(crate) stops: [[f32; 4]; 256],
     pub(crate) ramp_stops: u32,
     pub(crate) ramp_opacity: f32,
     pub(crate) anisotropy: i32,
@@ -100,7 +100,8 @@ pub(crate) struct Dataset {
     pub(crate) roots: i32,
     pub(crate) deepest: i32,
     pub(crate) poles: u32,
-    pub(crate) _pad: u32,
+    pub(crate) number: u32,
+    pub(crate) stops: [u32; 2],
 }
 
 /// Mirrors `struct Edge` of `shader/patch.wgsl`.

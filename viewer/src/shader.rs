@@ -11,6 +11,7 @@ pub(crate) const SURFACE: &[&str] = &[
     include_str!("shader/page_table.wgsl"),
     include_str!("shader/texels.wgsl"),
     include_str!("shader/blend.wgsl"),
+    include_str!("shader/ramp.wgsl"),
     include_str!("shader/compose.wgsl"),
     include_str!("shader/patch.wgsl"),
 ];

@@ -3,7 +3,8 @@
 //! ```json
 //! { "layers": [ { "dataset": "themis", "role": "luminance", "weight": 0.8 },
 //!               { "dataset": "ice-1999", "series": 1, "weight": 0.3 },
-//!               { "dataset": "ice-2020", "series": 1, "weight": 0.7 } ],
+//!               { "dataset": "ice-2020", "series": 1, "weight": 0.7 },
+//!               { "dataset": "lola", "ramp": { "stops": [ { "height_m": 0, "color": [9, 9, 9] } ] } } ],
 //!   "ramp": { "stops": [ { "height_m": -8000, "color": [20, 30, 90] },
 //!                        { "height_m": 21000, "color": [255, 250, 240] } ] } }
 //! ```
@@ -44,6 +45,10 @@ pub struct Layer {
     /// Of colors.
     #[serde(default)]
     pub role: Role,
+    /// Of heights: the dataset has colors, too, those of its own heights, and takes part with them as a
+    /// dataset of colors does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ramp: Option<Ramp>,
 }
 
 fn whole() -> f64 {
@@ -55,7 +60,7 @@ impl Layer {
     #[must_use]
     pub fn of(dataset: &str) -> Self {
         let dataset = dataset.to_owned();
-        Self { dataset, weight: whole(), priority: None, series: 0, role: Role::Color }
+        Self { dataset, weight: whole(), priority: None, series: 0, role: Role::Color, ramp: None }
     }
 
     /// How closely this layer names a dataset: a name beats a group's.
@@ -71,7 +76,7 @@ impl Layer {
 pub struct Ramp {
     /// From the lowest up, 1 to [`Ramp::MOST_STOPS`].
     pub stops: Vec<Stop>,
-    /// 0 to 1, over the datasets' colors.
+    /// 0 to 1, over what there is without it.
     #[serde(default = "whole")]
     pub opacity: f64,
 }
@@ -80,7 +85,7 @@ pub struct Ramp {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stop {
-    /// Composed meters above the reference surface.
+    /// Meters above the reference surface, composed or of a dataset, not exaggerated.
     pub height_m: f32,
     /// sRGB codes.
     pub color: [u8; 3],
@@ -90,15 +95,46 @@ impl Ramp {
     /// Stops that a ramp has at most.
     pub const MOST_STOPS: usize = 16;
 
+    /// Stops of all ramps of a style.
+    pub const MOST_STOPS_IN_ALL: usize = 256;
+
+    /// The most that any code of a ramp of these stops changes by a meter.
+    pub(crate) fn steepness(stops: &[Stop]) -> f64 {
+        let pairs = stops.windows(2);
+        let slope = |pair: &[Stop]| {
+            let codes = (0..3).map(|i| pair[0].color[i].abs_diff(pair[1].color[i])).max();
+            f64::from(codes.unwrap_or(0)) / f64::from(pair[1].height_m - pair[0].height_m)
+        };
+        pairs.map(slope).fold(0.0, f64::max)
+    }
+
+    fn check(&self) -> Result<(), StyleError> {
+        let bad = |reason| Err(StyleError::Ramp { reason });
+        if self.stops.is_empty() || self.stops.len() > Self::MOST_STOPS {
+            return bad("must have 1 to 16 stops");
+        }
+        if !self.stops.is_sorted_by(|one, next| one.height_m < next.height_m) {
+            return bad("must have its stops from the lowest up");
+        }
+        if !(0.0..=1.0).contains(&self.opacity) {
+            return bad("must have an opacity between 0 and 1");
+        }
+        Ok(())
+    }
+
     /// sRGB codes at a height.
     #[must_use]
     pub fn color(&self, height_m: f64) -> [f64; 3] {
+        Self::color_of(&self.stops, height_m)
+    }
+
+    pub(crate) fn color_of(stops: &[Stop], height_m: f64) -> [f64; 3] {
         let codes = |stop: &Stop| stop.color.map(f64::from);
-        let above = self.stops.partition_point(|stop| f64::from(stop.height_m) <= height_m);
-        let (Some(below), above) = (above.checked_sub(1), self.stops.get(above)) else {
-            return self.stops.first().map_or([0.0; 3], codes);
+        let above = stops.partition_point(|stop| f64::from(stop.height_m) <= height_m);
+        let (Some(below), above) = (above.checked_sub(1), stops.get(above)) else {
+            return stops.first().map_or([0.0; 3], codes);
         };
-        let below = &self.stops[below];
+        let below = &stops[below];
         let Some(above) = above else { return codes(below) };
         let [low, high] = [below, above].map(|stop| f64::from(stop.height_m));
         let t = (height_m - low) / (high - low);
@@ -140,6 +176,12 @@ pub enum StyleError {
         /// What is wrong with it.
         reason: &'static str,
     },
+    /// More than there is room for.
+    #[error("the ramps have {found} stops together, and 256 is the most")]
+    Stops {
+        /// How many there are.
+        found: usize,
+    },
 }
 
 impl Style {
@@ -155,19 +197,29 @@ impl Style {
             let (dataset, found) = (layer.dataset.clone(), layer.weight);
             return Err(StyleError::Weight { dataset, found });
         }
-        if let Some(ramp) = &style.ramp {
-            let bad = |reason| Err(StyleError::Ramp { reason });
-            if ramp.stops.is_empty() || ramp.stops.len() > Ramp::MOST_STOPS {
-                return bad("must have 1 to 16 stops");
-            }
-            if !ramp.stops.is_sorted_by(|one, next| one.height_m < next.height_m) {
-                return bad("must have its stops from the lowest up");
-            }
-            if !unit.contains(&ramp.opacity) {
-                return bad("must have an opacity between 0 and 1");
-            }
+        style.ramps().try_for_each(Ramp::check)?;
+        let found = style.ramps().map(|ramp| ramp.stops.len()).sum();
+        if found > Ramp::MOST_STOPS_IN_ALL {
+            return Err(StyleError::Stops { found });
         }
         Ok(style)
+    }
+
+    /// Where the stops of one of its ramps stand among [`Self::stops`].
+    fn place_of(&self, ramp: &Ramp) -> [u32; 2] {
+        let before = self.ramps().take_while(|other| !std::ptr::eq(*other, ramp));
+        [before.map(|other| other.stops.len()).sum(), ramp.stops.len()]
+            .map(|count: usize| u32::try_from(count).expect("a style has few stops"))
+    }
+
+    /// The stops of all ramps, one behind the other.
+    pub(crate) fn stops(&self) -> impl Iterator<Item = Stop> {
+        self.ramps().flat_map(|ramp| ramp.stops.iter().copied())
+    }
+
+    /// That of the composed heights, and those of datasets.
+    fn ramps(&self) -> impl Iterator<Item = &Ramp> {
+        self.ramp.iter().chain(self.layers.iter().filter_map(|layer| layer.ramp.as_ref()))
     }
 
     /// What is said of a dataset; the last of equally close names counts.
@@ -190,17 +242,30 @@ impl Style {
         self.layer(dataset).is_some_and(|layer| layer.weight == 0.0)
     }
 
-    /// How a dataset of a name, a kind and a priority of its own takes part.
-    pub(crate) fn part(&self, dataset: &str, kind: Kind, priority: i32) -> Part {
-        let Some(layer) = self.layer(dataset) else {
-            return Part { plane: Plane::of(kind, Role::Color), priority, series: 0, weight: 1.0 };
+    /// How a dataset of a name, a kind and a priority of its own takes part, if it does: heights with a ramp do so
+    /// twice.
+    pub(crate) fn parts(
+        &self,
+        dataset: &str,
+        kind: Kind,
+        priority: i32,
+    ) -> impl Iterator<Item = Part> + use<> {
+        let layer = self.layer(dataset);
+        let own = Part {
+            plane: Plane::of(kind, layer.map_or(Role::Color, |layer| layer.role)),
+            priority: layer.and_then(|layer| layer.priority).unwrap_or(priority),
+            series: layer.map_or(0, |layer| layer.series),
+            weight: layer.map_or(1.0, |layer| layer.weight),
+            stops: NO_STOPS,
         };
-        Part {
-            plane: Plane::of(kind, layer.role),
-            priority: layer.priority.unwrap_or(priority),
-            series: layer.series,
-            weight: layer.weight,
-        }
+        let ramp = layer.and_then(|layer| layer.ramp.as_ref()).filter(|_| kind == Kind::Height);
+        let colored = ramp.map(|ramp| Part {
+            plane: Plane::Colors,
+            weight: own.weight * ramp.opacity,
+            stops: self.place_of(ramp),
+            ..own
+        });
+        [Some(own), colored].into_iter().flatten().filter(|part| part.weight > 0.0)
     }
 }
 
@@ -227,13 +292,31 @@ impl Plane {
     }
 }
 
-/// A dataset's part in a picture.
+/// A dataset's part in a plane of a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Part {
     pub(crate) plane: Plane,
     pub(crate) priority: i32,
     pub(crate) series: u32,
+    /// Above 0.
     pub(crate) weight: f64,
+    /// Of heights in the plane of colors: the first of their ramp's stops among all, and how many there are.
+    pub(crate) stops: [u32; 2],
+}
+
+const NO_STOPS: [u32; 2] = [0; 2];
+
+impl Part {
+    /// Of a dataset of which nothing is said.
+    #[cfg(test)]
+    pub(crate) fn of(kind: Kind) -> Self {
+        Style::default().parts("", kind, 0).next().unwrap()
+    }
+
+    /// Whether it is made of heights.
+    pub(crate) fn is_of_heights(&self) -> bool {
+        self.plane == Plane::Heights || self.stops != NO_STOPS
+    }
 }
 
 /// `color` with the luminance of `other`, both sRGB codes from 0 to 1.
@@ -278,8 +361,10 @@ mod tests {
     #[test]
     fn a_style_comes_back_from_its_json() {
         let stops = vec![Stop { height_m: -1.5, color: [1, 2, 3] }];
+        let ramp = Ramp { stops, opacity: 0.5 };
         let layer = Layer { series: 2, role: Role::Luminance, ..Layer::of("a") };
-        let style = Style { layers: vec![layer], ramp: Some(Ramp { stops, opacity: 0.5 }) };
+        let colored = Layer { ramp: Some(ramp.clone()), ..Layer::of("b") };
+        let style = Style { layers: vec![layer, colored], ramp: Some(ramp) };
         assert_eq!(Style::from_json(&serde_json::to_string(&style).unwrap()).unwrap(), style);
         assert_eq!(Style::from_json("{}").unwrap(), Style::default());
     }
@@ -298,6 +383,7 @@ mod tests {
                 r#"{"ramp": {"stops": [{"height_m": 1, "color": [0,0,0]}], "opacity": -1}}"#,
                 "opacity",
             ),
+            (r#"{"layers": [{"dataset": "a", "ramp": {"stops": []}}]}"#, "1 to 16 stops"),
             (r#"{"ramp": {"stops": [{"height_m": 1e39, "color": [0,0,0]}]}}"#, "no style"),
             (r#"{"ramp": {"stops": [{"height_m": 0, "color": [0,0,256]}]}}"#, "no style"),
         ] {
@@ -314,6 +400,39 @@ mod tests {
         {
             assert_eq!(ramp.color(height_m), [code; 3], "{height_m}");
         }
+    }
+
+    #[test]
+    fn heights_with_a_ramp_take_part_twice() {
+        let stop = |height_m, code| Stop { height_m, color: [code; 3] };
+        let ramp = |stops: Vec<Stop>, opacity| Some(Ramp { stops, opacity });
+        let layers = vec![
+            Layer { ramp: ramp(vec![stop(0.0, 1); 1], 1.0), ..Layer::of("a") },
+            Layer {
+                weight: 0.5,
+                ramp: ramp(vec![stop(0.0, 2), stop(4.0, 22)], 0.5),
+                ..Layer::of("b")
+            },
+        ];
+        let style = Style { layers, ramp: ramp(vec![stop(0.0, 0); 3], 1.0) };
+        let parts = |name, kind| style.parts(name, kind, 7).collect::<Vec<_>>();
+        let [heights, colors] = parts("b", Kind::Height)[..] else { panic!("two parts") };
+        assert_eq!((heights.plane, heights.weight, heights.stops), (Plane::Heights, 0.5, [0; 2]));
+        assert_eq!((colors.plane, colors.weight, colors.priority), (Plane::Colors, 0.25, 7));
+        let [first, count] = colors.stops.map(|place| place as usize);
+        let stops: Vec<Stop> = style.stops().collect();
+        assert_eq!(stops[first..][..count], [stop(0.0, 2), stop(4.0, 22)]);
+        assert_eq!(Ramp::steepness(&stops[first..][..count]), 5.0);
+        // It is of heights, and those of which nothing is said have none.
+        assert_eq!(parts("b", Kind::Color).len(), 1);
+        assert_eq!(parts("c", Kind::Height).len(), 1);
+        let many = Layer {
+            ramp: ramp((0..16_u8).map(|m| stop(m.into(), 0)).collect(), 1.0),
+            ..Layer::of("a")
+        };
+        let all = Style { layers: vec![many; 17], ramp: None };
+        let error = Style::from_json(&serde_json::to_string(&all).unwrap()).unwrap_err();
+        assert!(error.to_string().contains("272 stops together"), "{error}");
     }
 
     proptest! {

@@ -18,7 +18,7 @@ use areoid_formats::page::{Kind, Reconstruction};
 use areoid_formats::units::Meters;
 
 use crate::blend::{Vantage, share_of_finer};
-use crate::style::{Part, Plane, Ramp, Style, with_luminance_of};
+use crate::style::{Part, Plane, Ramp, Stop, Style, with_luminance_of};
 
 /// sRGB codes where no dataset has colors.
 pub const BARE_COLOR: [f64; 3] = [158.0, 140.0, 128.0];
@@ -35,6 +35,8 @@ pub struct Surface {
     /// Datasets that take part and have a page at all.
     present: Vec<(usize, Part)>,
     ramp: Option<Ramp>,
+    /// Of the ramps of all parts.
+    stops: Vec<Stop>,
     /// Where it is seen from.
     vantage: Option<Vantage>,
 }
@@ -81,12 +83,14 @@ impl Surface {
         let mut numbers: Vec<usize> = pages.keys().map(|&(dataset, _)| dataset).collect();
         numbers.sort_unstable();
         numbers.dedup();
-        let part_of = |number: usize| {
-            let info = selection.datasets.get(number)?;
-            let part = style.part(&info.name, info.kind, info.priority);
-            (part.weight > 0.0).then_some((number, part))
-        };
-        let present = numbers.into_iter().filter_map(part_of).collect();
+        let known =
+            numbers.iter().filter_map(|&number| Some((number, selection.datasets.get(number)?)));
+        let present = known
+            .flat_map(|(number, info)| {
+                let parts = style.parts(&info.name, info.kind, info.priority);
+                parts.map(move |part| (number, part))
+            })
+            .collect();
         let roots = by_name(&selection.roots);
         let mut deepest = HashMap::new();
         for page in &selection.pages {
@@ -94,7 +98,8 @@ impl Surface {
             *level = page.entry.page.level.0.max(*level);
         }
         let (datasets, ramp) = (selection.datasets.clone(), style.ramp.clone());
-        Self { datasets, pages, roots, deepest, present, ramp, vantage: None }
+        let stops = style.stops().collect();
+        Self { datasets, pages, roots, deepest, present, ramp, stops, vantage: None }
     }
 
     /// The surface that a view shows: within its tolerance, coarser pages show for finer ones.
@@ -164,16 +169,22 @@ impl Surface {
         let mut levels = Vec::with_capacity(self.present.len());
         for &(dataset, part) in self.present.iter().filter(|(_, part)| part.plane == plane) {
             let info = &self.datasets[dataset];
-            let answer = match (plane, vantage) {
-                (Plane::Heights, Some(vantage)) => {
+            let answer = match vantage {
+                Some(vantage) if part.is_of_heights() => {
                     self.heights(dataset, position, vantage, &mut Vec::new())
                 }
                 _ => {
-                    let wanted = self.wanted(dataset, plane, position, footprint_m);
+                    let wanted = self.wanted(dataset, part, position, footprint_m);
                     self.blend(dataset, position, wanted)
                 }
             };
-            let Some(Answer { found, bound, level }) = answer else { continue };
+            let Some(Answer { mut found, mut bound, level }) = answer else { continue };
+            if plane == Plane::Colors && part.is_of_heights() {
+                let [first, count] = part.stops.map(|place| place as usize);
+                let stops = &self.stops[first..first + count];
+                found.value = Ramp::color_of(stops, found.value[0]);
+                bound *= Ramp::steepness(stops);
+            }
             let quality = info.grid.quality(position);
             let (coverage, value) = (found.coverage, found.value);
             let (priority, weight, series) = (part.priority, part.weight, part.series);
@@ -198,10 +209,10 @@ impl Surface {
     }
 
     /// The level that a dataset is asked for at a footprint, fractional.
-    fn wanted(&self, dataset: usize, plane: Plane, position: Geographic, footprint_m: f64) -> f64 {
+    fn wanted(&self, dataset: usize, part: Part, position: Geographic, footprint_m: f64) -> f64 {
         let grid = &self.datasets[dataset].grid;
         let finest = f64::from(grid.pyramid().finest().0);
-        if plane == Plane::Heights {
+        if part.is_of_heights() {
             return finest;
         }
         let (largest, _) = grid.crs().principal_scales(position, grid.pixel_size());
@@ -233,10 +244,10 @@ impl Surface {
                     let Some(place) = grid.locate(grid.pyramid().finest(), position) else {
                         continue;
                     };
-                    let answer = if plane == Plane::Heights {
+                    let answer = if part.is_of_heights() {
                         self.heights(dataset, position, vantage, &mut pages)
                     } else {
-                        let wanted = self.wanted(dataset, plane, position, footprint_m);
+                        let wanted = self.wanted(dataset, part, position, footprint_m);
                         let [coarse, fine] = [wanted.floor(), wanted.ceil()]
                             .map(|level| self.sample(dataset, place, level_of(level)));
                         pages.extend(coarse.iter().chain(&fine).map(|(_, page)| *page));
@@ -368,8 +379,9 @@ impl Surface {
 
     /// Whether a dataset takes part in a plane.
     pub(crate) fn shows(&self, dataset: usize, plane: Plane) -> bool {
-        let place = self.present.binary_search_by_key(&dataset, |&(number, _)| number);
-        place.is_ok_and(|place| self.present[place].1.plane == plane)
+        let first = self.present.partition_point(|&(number, _)| number < dataset);
+        let mut parts = self.present[first..].iter().take_while(|(number, _)| *number == dataset);
+        parts.any(|(_, part)| part.plane == plane)
     }
 
     /// The pages, in no order.

@@ -171,7 +171,7 @@ mod tests {
     use crate::map::DatasetMap;
     use crate::render::testing::{Given, compute};
     use crate::shader::SURFACE;
-    use crate::style::Style;
+    use crate::style::Part;
     use crate::testing::{Random, dataset, gpu};
 
     fn globe() -> Pyramid {
@@ -344,8 +344,7 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
                 if round % 2 == 0 { all.map(root).collect() } else { Vec::new() };
             let mut table = vec![7; 3];
             let windows = append(&mut table, pyramid, &shown, &roots);
-            let part = Style::default().part("globe", Kind::Height, 0);
-            let datasets = [DatasetMap::new(&info).mirrored(&windows, &part)];
+            let datasets = [DatasetMap::new(&info).mirrored(&windows, &Part::of(Kind::Height), 0)];
             let asked: Vec<Probe> = (0..500)
                 .map(|_| Probe {
                     texel: [below(1920), below(960)].map(u32::cast_signed),

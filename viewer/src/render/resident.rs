@@ -226,10 +226,11 @@ impl Resident {
                 *atlas = Atlas::new(gpu, content, side, self.budget_bytes);
             }
         }
-        let part =
-            |info: &areoid_cache::DatasetInfo| style.part(&info.name, info.kind, info.priority);
-        let parts = datasets.iter().map(|info| part(info)).enumerate();
-        self.order = parts.filter(|(_, part)| part.weight > 0.0).collect();
+        let parts = datasets.iter().enumerate().flat_map(|(place, info)| {
+            let parts = style.parts(&info.name, info.kind, info.priority);
+            parts.map(move |part| (place, part))
+        });
+        self.order = parts.collect();
         self.order
             .sort_by_key(|(_, part)| (part.plane, std::cmp::Reverse(part.priority), part.series));
         self.maps = Maps::new(self.order.iter().map(|&(place, part)| (datasets[place], part)));
@@ -245,12 +246,13 @@ impl Resident {
     fn write_table(&mut self, selection: &Selection) {
         self.table.clear();
         self.mirrored.clear();
-        let infos: Vec<_> = selection.datasets.iter().map(|(_, info)| info).collect();
+        let infos: Vec<_> = selection.datasets.iter().collect();
         for ((dataset, part), map) in self.order.iter().zip(self.maps.iter()) {
             let shown = self.shown[*dataset].as_deref().unwrap_or_default();
-            let pyramid = infos[*dataset].grid.pyramid();
+            let (number, info) = infos[*dataset];
+            let pyramid = info.grid.pyramid();
             let windows = table::append(&mut self.table, pyramid, shown, &self.roots[*dataset]);
-            self.mirrored.push(map.mirrored(&windows, part));
+            self.mirrored.push(map.mirrored(&windows, part, number));
         }
         self.slot_bounds = count(self.table.len());
         self.table.extend(self.bounds.iter().map(|bound| bound.to_bits().cast_signed()));

@@ -8,7 +8,7 @@ use glam::DVec3;
 use super::options::{Light, Options};
 use crate::camera::pixel_angle;
 use crate::mirror;
-use crate::style::Ramp;
+use crate::style::{Ramp, Style};
 use crate::surface::BARE_COLOR;
 
 /// Samples of color that a pixel takes at most, whatever is asked for.
@@ -25,7 +25,7 @@ pub(super) fn scene_of(
     let tangent = (view.vertical_fov.0 / 2.0).tan();
     let aspect = f64::from(view.viewport[0]) / f64::from(view.viewport[1]);
     let axis = |axis: DVec3| axis.as_vec3().to_array();
-    let (ramp, ramp_stops) = mirrored_ramp(options.style.ramp.as_ref());
+    let ramp = options.style.ramp.as_ref();
     mirror::Scene {
         right: axis(view.orientation.x_axis),
         focal_x: (1.0 / (tangent * aspect)) as f32,
@@ -41,9 +41,9 @@ pub(super) fn scene_of(
         eccentricity2: ellipsoid.eccentricity_squared() as f32,
         bare: BARE_COLOR.map(|code| (code / 255.0) as f32),
         pixel_angle: pixel_angle(view) as f32,
-        ramp,
-        ramp_stops,
-        ramp_opacity: options.style.ramp.as_ref().map_or(0.0, |ramp| ramp.opacity as f32),
+        stops: mirrored_stops(&options.style),
+        ramp_stops: ramp.map_or(0, |ramp| ramp.stops.len() as u32),
+        ramp_opacity: ramp.map_or(0.0, |ramp| ramp.opacity as f32),
         anisotropy: options.anisotropy.min(MOST_SAMPLES).cast_signed(),
         exposure: options.exposure as f32,
         relief: options.relief.map_or([0.0; 3], |relief| {
@@ -57,14 +57,12 @@ pub(super) fn scene_of(
     }
 }
 
-/// Colors and heights of a ramp, and how many there are.
-#[expect(clippy::cast_possible_truncation, reason = "a ramp has at most 16 stops")]
-fn mirrored_ramp(ramp: Option<&Ramp>) -> ([[f32; 4]; Ramp::MOST_STOPS], u32) {
-    let mut mirrored = [[0.0; 4]; Ramp::MOST_STOPS];
-    let stops = ramp.map_or(&[][..], |ramp| &ramp.stops);
-    for (to, stop) in mirrored.iter_mut().zip(stops) {
+/// Colors and heights of all ramps.
+fn mirrored_stops(style: &Style) -> [[f32; 4]; Ramp::MOST_STOPS_IN_ALL] {
+    let mut mirrored = [[0.0; 4]; Ramp::MOST_STOPS_IN_ALL];
+    for (to, stop) in mirrored.iter_mut().zip(style.stops()) {
         let [red, green, blue] = stop.color.map(|code| f32::from(code) / 255.0);
         *to = [red, green, blue, stop.height_m];
     }
-    (mirrored, stops.len().min(Ramp::MOST_STOPS) as u32)
+    mirrored
 }

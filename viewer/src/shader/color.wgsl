@@ -3,7 +3,7 @@
 //   bare ground ─▶ colors over it ─▶ ramp over both ─▶ luminances' luminance on all
 //
 // Units      sRGB codes, 0 to 1; heights in meters, not exaggerated
-// Twin       surface.rs: Surface::color; style.rs: Ramp::color, with_luminance_of
+// Twin       surface.rs: Surface::color; style.rs: with_luminance_of
 // After      W3C, Compositing and Blending Level 1, §10.2
 
 fn luminance_of(color: vec3f) -> f32 {
@@ -26,24 +26,11 @@ fn with_luminance_of(color: vec3f, other: vec3f) -> vec3f {
     return wanted + (raised - wanted) * factor;
 }
 
-fn ramp_at(height: f32) -> vec3f {
-    var color = scene.ramp[0].rgb;
-    for (var i = 1u; i < scene.ramp_stops; i++) {
-        let below = scene.ramp[i - 1u];
-        let above = scene.ramp[i];
-        if height >= below.w {
-            let t = clamp((height - below.w) / (above.w - below.w), 0.0, 1.0);
-            color = below.rgb + (above.rgb - below.rgb) * t;
-        }
-    }
-    return color;
-}
-
 // `height` above the reference surface, if any is known.
 fn ground_color(colors: Composed, luminances: Composed, heights: Composed, height: f32) -> vec3f {
     var color = scene.bare + (colors.value - scene.bare) * colors.opacity;
     if scene.ramp_stops > 0u && heights.level >= 0.0 {
-        color += (ramp_at(height) - color) * scene.ramp_opacity;
+        color += (ramp_at(vec2u(0u, scene.ramp_stops), height) - color) * scene.ramp_opacity;
     }
     if luminances.opacity > 0.0 {
         color += (with_luminance_of(color, luminances.value) - color) * luminances.opacity;

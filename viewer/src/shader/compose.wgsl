@@ -160,8 +160,12 @@ fn compose(frame_index: u32, d: vec3f, footprint_m: f32, plane: u32) -> Composed
         if point.inside {
             let scales = principal_scales(dataset, r, z);
             var answer: Answer;
-            if plane == HEIGHTS {
+            if plane == HEIGHTS || dataset.stops.y > 0u {
                 answer = read_heights(dataset, point, frame_index, d);
+                if plane == COLORS {
+                    let height = frames[frame_index].height + answer.texel.value.x;
+                    answer.texel.value = ramp_at(dataset.stops, height);
+                }
             } else {
                 let halvings = max(log2(sample_m / scales.x), 0.0);
                 answer = read_levels(dataset, point, max(f32(dataset.levels - 1) - halvings, 0.0), plane);

@@ -52,7 +52,8 @@ fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> v
             let scales = principal_scales(dataset, r, z);
             let halvings = max(log2(footprint_m * max(scene.tolerance_px, 1.0) / scales.x), 0.0);
             let wanted = i32(ceil(max(f32(dataset.levels - 1) - halvings, 0.0)));
-            let found = find_page(dataset, point, select(wanted, dataset.levels - 1, plane == HEIGHTS));
+            let is_of_heights = plane == HEIGHTS || dataset.stops.y > 0u;
+            let found = find_page(dataset, point, select(wanted, dataset.levels - 1, is_of_heights));
             if found.entry == 0u {
                 continue;
             }
@@ -62,7 +63,7 @@ fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> v
             }
             if scene.debug == SHOW_DATASET {
                 var covers = 0.0;
-                if plane == HEIGHTS {
+                if is_of_heights {
                     covers = read_height(found, 0.0).coverage;
                 } else {
                     covers = read_codes(found, false).coverage;
@@ -94,7 +95,7 @@ fn debug_color(ground: vec3f, frame_index: u32, d: vec3f, footprint_m: f32) -> v
         }
     }
     if front >= 0 {
-        return mix(ground, color_of_number(u32(front)), 0.5);
+        return mix(ground, color_of_number(dataset_list[front].number), 0.5);
     }
     return ground;
 }

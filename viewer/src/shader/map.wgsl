@@ -51,7 +51,10 @@ struct Dataset {
     deepest: i32,
     // 1 where the top edge is the north pole, and 2 where the bottom edge is the south pole.
     poles: u32,
-    pad0: u32,
+    // Whose it is; told by a color.
+    number: u32,
+    // Of heights in the list of colors: the first of their ramp's stops, and how many there are.
+    stops: vec2u,
 }
 
 struct Anchor {

@@ -30,9 +30,9 @@ struct Scene {
     bare: vec3f,
     // Radians to a pixel at the center.
     pixel_angle: f32,
-    // Colors, and the heights in meters that they stand for.
-    ramp: array<vec4f, 16>,
-    // How many of them count: 0 for no ramp.
+    // Colors, and the heights in meters that they stand for: of the ramp of composed heights, then of datasets.
+    stops: array<vec4f, 256>,
+    // How many are of the former: 0 for no ramp.
     ramp_stops: u32,
     ramp_opacity: f32,
     // Samples of color that a pixel takes at most; 0 for round footprints.

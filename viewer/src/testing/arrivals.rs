@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use areoid_cache::{DatasetInfo, Selection, View};
+use areoid_cache::{Selection, View};
 use areoid_formats::address::Level;
 use areoid_formats::page::Kind;
 use areoid_formats::units::{Degrees, Meters, Radians};
@@ -14,7 +14,7 @@ use crate::camera::Pose;
 use crate::map::Maps;
 use crate::mesh::detail::Detail;
 use crate::mesh::patches::Mesh;
-use crate::style::Style;
+use crate::style::Part;
 use crate::surface::Surface;
 use crate::{FrameStatistics, Image, Light, Options, Renderer};
 
@@ -156,9 +156,8 @@ fn atlases_are_as_large_as_a_cache_asks() {
 
 /// The maps of the heights of a selection.
 fn maps_of(selection: &Selection) -> Maps {
-    let part = |info: &DatasetInfo| Style::default().part("", info.kind, info.priority);
     let heights = selection.datasets.iter().filter(|(_, info)| info.kind == Kind::Height);
-    Maps::new(heights.map(|(_, info)| (info, part(info))))
+    Maps::new(heights.map(|(_, info)| (info, Part::of(info.kind))))
 }
 
 /// A mesh is made of the view and the pages alone, whatever was made before it in the same room.

@@ -65,7 +65,7 @@ fn tilted(place: Geographic) -> DVec3 {
     (up + 0.5 * DVec3::new(waves(place, 9.0), waves(place, 7.0), waves(place, 8.0))).normalize()
 }
 
-/// Heights, two colors over one another, a luminance and two dates.
+/// Heights twice, two colors over one another, a luminance and two dates.
 fn planet() -> &'static Planet {
     static PLANET: OnceLock<Planet> = OnceLock::new();
     PLANET.get_or_init(|| {
@@ -82,6 +82,9 @@ fn planet() -> &'static Planet {
         planet.add(region("beside", Kind::Color, 1), |place| {
             // Gray, as most of its pages are.
             ([code(-waves(place, 20.0)); 3], 255)
+        });
+        planet.add(region("hill", Kind::Height, 1), |place| {
+            ([1000.0 + 800.0 * waves(place, 30.0) as f32, 0.0, 0.0], feathered(place))
         });
         planet
     })
@@ -150,6 +153,13 @@ fn every_style_is_composed_as_the_twin_does() {
         stops: vec![stop(-900.0, [10, 0, 90]), stop(0.0, [0, 140, 20]), stop(700.0, [250; 3])],
         opacity: 0.6,
     };
+    let dark =
+        Ramp { stops: vec![stop(-2000.0, [0; 3]), stop(5000.0, [120, 60, 90])], opacity: 1.0 };
+    let colored = |dataset: &str, priority, ramp: &Ramp| Layer {
+        priority: Some(priority),
+        ramp: Some(ramp.clone()),
+        ..Layer::of(dataset)
+    };
     let styles = [
         ("as they are", Style::default()),
         ("faint", style(vec![Layer { weight: 0.4, ..Layer::of("base") }])),
@@ -168,6 +178,11 @@ fn every_style_is_composed_as_the_twin_does() {
                 Layer { role: Role::Luminance, weight: 0.8, ..Layer::of("sharp") },
                 Layer { weight: 0.0, ..Layer::of("beside") },
             ]),
+        ),
+        ("colored heights", style(vec![colored("heights", 2, &ramp), colored("hill", 1, &dark)])),
+        (
+            "both ramps",
+            Style { ramp: Some(ramp.clone()), ..style(vec![colored("hill", 1, &dark)]) },
         ),
         ("ramp", Style { ramp: Some(ramp), ..Style::default() }),
     ];
@@ -211,6 +226,27 @@ fn the_dataset_that_is_told_is_the_one_that_is_seen() {
         if from_rim.abs() > 0.5 {
             assert_eq!(one != other, from_rim > 0.0, "{x} {y}");
             counts[usize::from(from_rim > 0.0)] += 1;
+        }
+    }
+    assert!(counts[0] > 100 && counts[1] > 100, "{counts:?}");
+}
+
+/// Colors tell numbers, which stay whatever else is in sight: 0 is red, 1 is blue.
+#[test]
+fn a_dataset_has_its_own_color() {
+    let gray = |_| ([128.0; 3], 255);
+    let mut planet = Planet::default();
+    planet.add(globe("base", Kind::Color, 512, 0), gray);
+    planet.add(region("sharp", Kind::Color, 1), gray);
+    let options = Options { debug: Debug::Dataset, ..Options::default() };
+    let (image, places) = draw(&planet.selection(|_| true), &UNLIT, &options);
+    let mut counts = [0; 2];
+    for (pixel, [x, y]) in image.rgba.chunks_exact(4).zip(places) {
+        let from_rim = (x + 10.0).min(14.0 - x).min(20.0 - y).min(y + 4.0);
+        if from_rim.abs() > 0.5 {
+            let is_sharp = from_rim > 0.0;
+            assert_eq!(pixel[2] > pixel[0], is_sharp, "{pixel:?} at {x} {y}");
+            counts[usize::from(is_sharp)] += 1;
         }
     }
     assert!(counts[0] > 100 && counts[1] > 100, "{counts:?}");
@@ -401,7 +437,10 @@ fn pages_that_made_room_for_others_are_drawn_again() {
 #[test]
 fn a_page_that_comes_fades_in_and_a_picture_at_rest_is_not_drawn() {
     let planet = planet();
-    let coarse = planet.selection(|page| page.dataset == 0 || page.entry.page.level <= Level(1));
+    let coarse = planet.selection(|page| {
+        let info = &planet.datasets[page.dataset];
+        info.kind == Kind::Height || page.entry.page.level <= Level(1)
+    });
     let mut fine = planet.selection(|_| true);
     fine.generation = 2;
     let mut renderer = Renderer::new(gpu(), body());

@@ -133,8 +133,9 @@ fn a_ramp_is_that_of_the_style() {
         stop(0.0, [20, 90, 30]),
         stop(21_000.0, [255, 255, 255]),
     ];
-    let mut scene = mirror::Scene { ramp_stops: 4, ..Zeroable::zeroed() };
-    for (place, stop) in scene.ramp.iter_mut().zip(&stops) {
+    let mut scene = mirror::Scene { stops: [[7.0; 4]; 256], ..Zeroable::zeroed() };
+    // Behind another one.
+    for (place, stop) in scene.stops[3..].iter_mut().zip(&stops) {
         let [red, green, blue] = stop.color.map(|code| f32::from(code) / 255.0);
         *place = [red, green, blue, stop.height_m];
     }
@@ -143,7 +144,11 @@ fn a_ramp_is_that_of_the_style() {
     let mut asked: Vec<[f64; 3]> =
         (0..5_000).map(|_| [35_000.0 * random.next() - 11_000.0, 0.0, 0.0]).collect();
     asked.extend([-8000.0, -10.0, 0.0, 21_000.0].map(|height| [height, 0.0, 0.0]));
-    let found = ask_numbers("ramp_at(a.x), 0.0", Given { scene, ..Given::default() }, &asked);
+    let found = ask_numbers(
+        "ramp_at(vec2u(3u, 4u), a.x), 0.0",
+        Given { scene, ..Given::default() },
+        &asked,
+    );
     for (found, [height, ..]) in found.iter().zip(&asked) {
         let truth = ramp.color(f64::from(*height as f32));
         for (found, truth) in found.iter().zip(truth) {

@@ -16,7 +16,7 @@ use crate::mesh::frame::axes_at;
 use crate::mirror;
 use crate::render::testing::{Given, compute};
 use crate::shader::{PRESENT, Program, SURFACE};
-use crate::style::Style;
+use crate::style::Part;
 use crate::yardstick;
 
 /// A question to `map_point` and its answer.
@@ -113,7 +113,6 @@ fn places_are_found_to_a_sixteenth_of_a_texel() {
             priority: 0,
         };
         let map = DatasetMap::new(&info);
-        let part = Style::default().part("", Kind::Height, 0);
         let mut random = Random(0x5eed);
         let mut asked = Vec::new();
         let mut anchors = Vec::new();
@@ -155,7 +154,7 @@ fn places_are_found_to_a_sixteenth_of_a_texel() {
             ..Zeroable::zeroed()
         };
         let source = [SURFACE, &[PROBE]].concat().join("\n");
-        let datasets = &[map.mirrored(&Windows::default(), &part)];
+        let datasets = &[map.mirrored(&Windows::default(), &Part::of(Kind::Height), 0)];
         let given = Given { scene, datasets, anchors: &anchors, ..Given::default() };
         let answers: Vec<Probe> = compute(gpu(), &source, given, &asked);
 
@@ -224,7 +223,7 @@ fn a_band_ends_at_its_edges() {
         expected.push(texels < 0.0);
     }
     let source = [SURFACE, &[PROBE]].concat().join("\n");
-    let mirrored = map.mirrored(&Windows::default(), &Style::default().part("", Kind::Height, 0));
+    let mirrored = map.mirrored(&Windows::default(), &Part::of(Kind::Height), 0);
     let scene = mirror::Scene { equatorial_radius: body.a().0 as f32, ..Zeroable::zeroed() };
     let given = Given { scene, datasets: &[mirrored], anchors: &anchors, ..Given::default() };
     let answers: Vec<Probe> = compute(gpu(), &source, given, &asked);
@@ -272,13 +271,14 @@ macro_rules! assert_mirrored {
 #[test]
 fn shaders_and_rust_agree_on_structures() {
     assert_mirrored!(Scene: right, focal_x, up, focal_y, backward, near, sun, ambient, background,
-        exaggeration, viewport, equatorial_radius, eccentricity2, bare, pixel_angle, ramp, ramp_stops,
+        exaggeration, viewport, equatorial_radius, eccentricity2, bare, pixel_angle, stops, ramp_stops,
         ramp_opacity, anisotropy, exposure, relief, debug, slot_bounds, tolerance_px, edges, patches);
     assert_mirrored!(Atmosphere: rayleigh, rayleigh_height, mie, mie_height, mie_extinction,
         asymmetry, eye_up, eye_height, radius, top);
     assert_mirrored!(Frame: origin, height, east, north, up, lists);
     assert_mirrored!(Dataset: size, interior, levels, first_window, priority, polar, wraps, period,
-        latitude_ratio, hemisphere, eccentricity, ground, weight, series, roots, deepest, poles);
+        latitude_ratio, hemisphere, eccentricity, ground, weight, series, roots, deepest, poles,
+        number, stops);
     assert_mirrored!(Anchor: texel, fraction, matrix, dataset);
     assert_mirrored!(Edge: frames, half_chord, direction, distance, come);
     assert_mirrored!(Patch: corner_a, frame, corner_b, sides, corner_c, distance, edges, come);
@@ -290,7 +290,6 @@ fn levels_are_counted_alike() {
     let degrees = Crs::new(Projection::Geographic, body);
     let outline = Outline { origin: [0.0, 90.0], pixel_size: [0.25; 2], width: 1440, height: 720 };
     let info = dataset("globe", Kind::Height, degrees, outline, 64, 0);
-    let mirrored = DatasetMap::new(&info)
-        .mirrored(&Windows::default(), &Style::default().part("", Kind::Height, 0));
+    let mirrored = DatasetMap::new(&info).mirrored(&Windows::default(), &Part::of(Kind::Height), 0);
     assert_eq!(Level(u8::try_from(mirrored.levels - 1).unwrap()), info.grid.pyramid().finest());
 }

@@ -31,21 +31,21 @@ pub trait Host {
     /// What was inserted, and what is being, in the order in which it began.
     fn insertions(&self) -> Vec<Insertion>;
 
-    /// Writes a new file whose name begins with `stem`, and says which.
-    ///
-    /// # Errors
-    ///
-    /// Why it cannot, for people.
-    fn save(&mut self, stem: &str, content: Content<'_>) -> Result<String, String>;
+    /// Begins to write a new file whose name begins with `stem`; what becomes of it is told by
+    /// [`Self::saved`].
+    fn save(&mut self, stem: &str, content: Content);
+
+    /// The name of a file that is written now, or why it cannot be, for people; of each once.
+    fn saved(&mut self) -> Option<Result<String, String>>;
 }
 
 /// What a window saves.
-#[derive(Clone, Copy, Debug)]
-pub enum Content<'a> {
+#[derive(Clone, Debug)]
+pub enum Content {
     /// A picture.
-    Picture(&'a crate::Image),
+    Picture(crate::Image),
     /// A text of JSON.
-    Json(&'a str),
+    Json(String),
 }
 
 /// An insertion, for people.

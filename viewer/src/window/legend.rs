@@ -1,9 +1,11 @@
 //! What the picture's colors mean, where they are not the ground's.
 
+use areoid_cache::Datasets;
 use egui::{Color32, Sense, Ui, vec2};
 
 use super::settings::Settings;
 use crate::render::Debug;
+use crate::style::Ramp;
 
 /// A color and what it stands for.
 #[derive(Clone, Debug, PartialEq)]
@@ -13,8 +15,8 @@ struct Entry {
 }
 
 /// Shows it; nothing, where the ground has its own colors.
-pub(super) fn legend(ui: &mut Ui, settings: &Settings) {
-    for Entry { color: [red, green, blue], text } in entries(settings) {
+pub(super) fn legend(ui: &mut Ui, settings: &Settings, datasets: &Datasets) {
+    for Entry { color: [red, green, blue], text } in entries(settings, datasets) {
         ui.horizontal(|ui| {
             let (place, _) = ui.allocate_exact_size(vec2(18.0, 12.0), Sense::hover());
             ui.painter().rect_filled(place, 2.0, Color32::from_rgb(red, green, blue));
@@ -23,14 +25,31 @@ pub(super) fn legend(ui: &mut Ui, settings: &Settings) {
     }
 }
 
-/// The ramp from the highest down, and what is shown of how the picture was made.
-fn entries(settings: &Settings) -> Vec<Entry> {
+/// The ramps from the highest down, and what is shown of how the picture was made.
+fn entries(settings: &Settings, datasets: &Datasets) -> Vec<Entry> {
     let entry = |color, text: &str| Entry { color, text: text.to_owned() };
-    let ramp = settings.ramp().into_iter().flat_map(|ramp| ramp.stops.into_iter().rev());
-    let mut entries: Vec<Entry> =
-        ramp.map(|stop| entry(stop.color, &format!("{} m", stop.height_m))).collect();
+    let mut entries = Vec::new();
+    let mut tell = |ramp: &Ramp, of: &str| {
+        let stops = ramp.stops.iter().rev();
+        entries.extend(stops.map(|stop| entry(stop.color, &format!("{} m{of}", stop.height_m))));
+    };
+    if let Some(ramp) = settings.ramp() {
+        tell(&ramp, "");
+    }
+    for layer in &settings.style.layers {
+        if let Some(ramp) = layer.ramp.as_ref().filter(|_| layer.weight > 0.0) {
+            tell(ramp, &format!(" of {}", layer.dataset));
+        }
+    }
     match settings.debug {
-        Debug::Off | Debug::Dataset => {}
+        Debug::Off => {}
+        Debug::Dataset => {
+            let shown = datasets.iter().filter(|(_, info)| !settings.style.hides(&info.name));
+            entries.extend(shown.map(|(number, info)| {
+                let number = u32::try_from(number).unwrap_or(u32::MAX);
+                entry(color_of_number(number).map(code), &info.name)
+            }));
+        }
         Debug::Level => entries.extend((0..LEVELS).map(|level| Entry {
             color: color_of_number(level).map(code),
             text: format!("level {level}"),
@@ -76,7 +95,7 @@ mod tests {
     use super::*;
     use crate::render::testing::{Given, compute};
     use crate::shader::Program;
-    use crate::style::{Ramp, Stop, Style};
+    use crate::style::{Layer, Stop, Style};
     use crate::testing::gpu;
 
     /// A question to both functions of colors, and their answers.
@@ -135,14 +154,17 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
     fn a_legend_is_of_the_colors_that_are_shown() {
         let mut plain = settings(Debug::Off);
         let texts = |settings: &Settings| -> Vec<String> {
-            entries(settings).into_iter().map(|entry| entry.text).collect()
+            entries(settings, &Datasets::default()).into_iter().map(|entry| entry.text).collect()
         };
         assert_eq!(texts(&plain), ["20.5 m", "-10 m"]);
-        assert_eq!(entries(&plain)[0].color, [2; 3]);
+        assert_eq!(entries(&plain, &Datasets::default())[0].color, [2; 3]);
         plain.has_ramp = false;
-        assert!(entries(&plain).is_empty());
+        assert!(texts(&plain).is_empty());
+        let ramp = plain.style.ramp.clone();
+        plain.style.layers = vec![Layer { ramp, ..Layer::of("hill") }];
+        assert_eq!(texts(&plain), ["20.5 m of hill", "-10 m of hill"]);
 
-        let levels = entries(&settings(Debug::Level));
+        let levels = entries(&settings(Debug::Level), &Datasets::default());
         assert_eq!(levels.len(), 2 + LEVELS as usize);
         for pair in levels[2..].windows(2) {
             let apart = (0..3).map(|i| pair[0].color[i].abs_diff(pair[1].color[i])).max();

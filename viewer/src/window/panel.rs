@@ -9,7 +9,7 @@ use egui::{Context, DragValue, Key, Slider, Ui};
 use super::arrangement::Arrangement;
 use super::host::{Insertion, InsertionState};
 use super::legend::legend;
-use super::settings::{Lighting, Settings};
+use super::settings::{Lighting, Settings, ramp};
 use crate::pick::Picked;
 use crate::render::{Debug, FrameStatistics};
 use crate::style::Role;
@@ -69,7 +69,7 @@ impl Panel {
             under_cursor(ui, figures);
             ui.collapsing("Datasets", |ui| layers(ui, settings, datasets));
             ui.collapsing("Insert", |ui| self.insert(ui, figures, &mut wishes));
-            ui.collapsing("Picture", |ui| picture(ui, settings));
+            ui.collapsing("Picture", |ui| picture(ui, settings, datasets));
             ui.collapsing("Light", |ui| {
                 light(ui, settings);
                 if let (Lighting::Sun, Some((_, info))) =
@@ -206,6 +206,12 @@ fn layers(ui: &mut Ui, settings: &mut Settings, datasets: &Datasets) {
                 }
                 ui.label("series");
                 ui.add(DragValue::new(&mut layer.series).range(0..=99));
+                if row.kind == Kind::Height {
+                    let mut has_ramp = layer.ramp.is_some();
+                    if ui.checkbox(&mut has_ramp, "colors").changed() {
+                        layer.ramp = has_ramp.then(ramp);
+                    }
+                }
                 if row.kind == Kind::Color {
                     let mut is_luminance = layer.role == Role::Luminance;
                     ui.checkbox(&mut is_luminance, "luminance");
@@ -219,7 +225,7 @@ fn layers(ui: &mut Ui, settings: &mut Settings, datasets: &Datasets) {
     }
 }
 
-fn picture(ui: &mut Ui, settings: &mut Settings) {
+fn picture(ui: &mut Ui, settings: &mut Settings, datasets: &Datasets) {
     let tolerance = Slider::new(&mut settings.tolerance_px, 0.25..=16.0).logarithmic(true);
     ui.add(tolerance.text("tolerance, px"));
     ui.add(Slider::new(&mut settings.exaggeration, 0.0..=20.0).text("heights ×"));
@@ -236,7 +242,7 @@ fn picture(ui: &mut Ui, settings: &mut Settings) {
             ui.selectable_value(&mut settings.debug, debug, name);
         }
     });
-    legend(ui, settings);
+    legend(ui, settings, datasets);
 }
 
 fn light(ui: &mut Ui, settings: &mut Settings) {

@@ -117,7 +117,7 @@ impl Settings {
 }
 
 /// Dark blue to white over the heights of planets.
-fn ramp() -> Ramp {
+pub(super) fn ramp() -> Ramp {
     let stop = |height_m, color| Stop { height_m, color };
     let stops = vec![
         stop(-8000.0, [24, 26, 90]),

@@ -46,6 +46,8 @@ pub(super) struct Viewer<H> {
     figures: Figures,
     bookmarks: Vec<Orbit>,
     recording: Option<(Instant, Vec<Key>)>,
+    /// Files that are being written.
+    saving: usize,
     stage: Option<Stage>,
     start: Instant,
     pub(super) outcome: Result<(), WindowError>,
@@ -80,6 +82,7 @@ impl<H: Host> Viewer<H> {
             figures: Figures::default(),
             bookmarks: Vec::new(),
             recording: None,
+            saving: 0,
             stage: None,
             start: Instant::now(),
             outcome: Ok(()),
@@ -138,12 +141,14 @@ impl<H: Host> Viewer<H> {
         let is_new = stage.drawn.as_ref().is_none_or(|(drawn, generation, settings)| {
             *drawn != views || *generation != selection.generation || *settings != self.settings
         });
-        if is_new || stage.unfinished || changed {
+        let said = self.say_saved();
+        if is_new || stage.unfinished || changed || said {
             self.show(&mut stage, views, &selection);
         }
         let is_inserting = |state: &InsertionState| matches!(state, InsertionState::Running(_));
         stage.is_busy = selection.missing > 0
             || self.recording.is_some()
+            || self.saving > 0
             || self.figures.insertions.iter().any(|insertion| is_inserting(&insertion.state));
         self.stage = Some(stage);
     }
@@ -204,10 +209,7 @@ impl<H: Host> Viewer<H> {
             unfinished || is_moving || is_outdated || settings_before != self.settings;
         stage.drawn = Some((views, selection.generation, self.settings.clone()));
         if let Some(pictures) = saved {
-            let picture = Image::side_by_side(&pictures);
-            let saved = self.host.save("areoid", Content::Picture(&picture));
-            self.say(saved);
-            stage.unfinished = true;
+            self.save("areoid", Content::Picture(Image::side_by_side(&pictures)));
         }
         for wish in wishes {
             self.grant(&wish, stage);
@@ -274,20 +276,33 @@ impl<H: Host> Viewer<H> {
                     let json = flight.map_err(|error| error.to_string()).and_then(|flight| {
                         serde_json::to_string_pretty(&flight).map_err(|error| error.to_string())
                     });
-                    let saved =
-                        json.and_then(|json| self.host.save("flight", Content::Json(&json)));
-                    self.say(saved);
+                    match json {
+                        Ok(json) => self.save("flight", Content::Json(json)),
+                        Err(reason) => self.figures.message = reason,
+                    }
                 }
             },
             Wish::Screenshot => stage.saves_picture = true,
         }
     }
 
-    fn say(&mut self, saved: Result<String, String>) {
-        self.figures.message = match saved {
-            Ok(name) => format!("saved {name}"),
-            Err(reason) => reason,
-        };
+    fn save(&mut self, stem: &str, content: Content) {
+        self.host.save(stem, content);
+        self.saving += 1;
+    }
+
+    /// Says what became of files; whether there is anything new to say.
+    fn say_saved(&mut self) -> bool {
+        let mut is_new = false;
+        while let Some(saved) = self.host.saved() {
+            self.saving = self.saving.saturating_sub(1);
+            self.figures.message = match saved {
+                Ok(name) => format!("saved {name}"),
+                Err(reason) => reason,
+            };
+            is_new = true;
+        }
+        is_new
     }
 
     fn pressed(&mut self, event_loop: &ActiveEventLoop, key: &winit::keyboard::Key) {
