@@ -2,6 +2,11 @@
 
 #![expect(clippy::unwrap_used, reason = "a failed test may panic")]
 
+#[cfg(all(feature = "viewer", target_os = "linux"))]
+mod support {
+    pub(crate) mod validation;
+}
+
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -195,7 +200,12 @@ fn serving_is_measured_beside_nginx_where_that_is_installed() {
 #[test]
 fn a_tiny_book_of_the_viewer_is_complete() {
     let folder = tempfile::tempdir().unwrap();
-    let output = Command::new(env!("CARGO_BIN_EXE_areoid"))
+    #[cfg(target_os = "linux")]
+    let validation = support::validation::Validation::new(folder.path());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_areoid"));
+    #[cfg(target_os = "linux")]
+    validation.watch(&mut command);
+    let output = command
         .args(["bench", "view", "--json", "--megapixels", "0.1", "--size", "64x36"])
         .args(["--rounds", "2", "--frames", "2", "--pace", "fast", "-o"])
         .arg(folder.path())
@@ -205,6 +215,8 @@ fn a_tiny_book_of_the_viewer_is_complete() {
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    #[cfg(target_os = "linux")]
+    validation.assert_silent();
     let written = fs::read(folder.path().join("view.json")).unwrap();
     assert_eq!(serde_json::from_slice::<Value>(&written).unwrap(), report);
     let tables = fs::read_to_string(folder.path().join("view.md")).unwrap();

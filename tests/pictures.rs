@@ -28,7 +28,7 @@ mod window {
 }
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
 use std::sync::LazyLock;
 
 use areoid_formats::catalog::Catalog;
@@ -97,6 +97,20 @@ fn run(command: &mut Command) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
+/// Runs what draws, and hears what the validation layer says of it.
+fn draw(command: &mut Command) -> Output {
+    let _notes = TempDir::new().unwrap();
+    #[cfg(target_os = "linux")]
+    let validation = support::validation::Validation::new(_notes.path());
+    #[cfg(target_os = "linux")]
+    validation.watch(command);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    #[cfg(target_os = "linux")]
+    validation.assert_silent();
+    output
+}
+
 /// The demo's catalog, made once.
 static CATALOG: LazyLock<(TempDir, PathBuf)> = LazyLock::new(|| {
     let folder = TempDir::new().unwrap();
@@ -136,7 +150,7 @@ fn snapshot_with(
     for (name, path) in aovs {
         command.arg("--aov").arg(format!("{name}={}", path.display()));
     }
-    run(&mut command);
+    draw(&mut command);
 }
 
 /// Every fourth pixel of 512 × 512, both ways: position within a pixel and a half of where the
@@ -282,16 +296,16 @@ fn a_picture_of_a_server_is_that_of_its_folder() {
 
     let folder = TempDir::new().unwrap();
     let path = |name: &str| folder.path().join(name);
-    let draw = |place: &std::ffi::OsStr, picture: &Path, options: &[&std::ffi::OsStr]| {
+    let shoot = |place: &std::ffi::OsStr, picture: &Path, options: &[&std::ffi::OsStr]| {
         let mut command = areoid();
         command.arg("snapshot").arg(place).arg("-o").arg(picture).args(options);
-        run(command.args(["--size", "320x180", "--eye=-138,7,900000", "--target=-133.8,17.6"]));
+        draw(command.args(["--size", "320x180", "--eye=-138,7,900000", "--target=-133.8,17.6"]));
     };
-    draw(CATALOG.1.as_os_str(), &path("near.png"), &[]);
+    shoot(CATALOG.1.as_os_str(), &path("near.png"), &[]);
     let disk = path("disk");
     let kept = ["--disk-cache".as_ref(), disk.as_os_str()];
     for options in [&[][..], &kept, &kept] {
-        draw(url.as_ref(), &path("far.png"), options);
+        shoot(url.as_ref(), &path("far.png"), options);
         let [near, far] = ["near.png", "far.png"].map(|name| std::fs::read(path(name)).unwrap());
         assert!(near == far, "with {options:?}");
     }

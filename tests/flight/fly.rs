@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::{CATALOG, areoid, run};
+use crate::{CATALOG, areoid, draw, run};
 
 const EYES: [[f64; 3]; 3] =
     [[-90.0, 5.0, 7_400_000.0], [-120.0, 10.0, 900_000.0], [-133.0, 17.0, 60_000.0]];
@@ -51,8 +51,7 @@ fn a_film_is_made_of_the_pictures_of_its_eyes_and_its_report_says_all() {
     let flight = flight(folder.path());
     let mut command = fly(&CATALOG.1, &flight, &["--frames", "3", "--pace", "complete", "--json"]);
     command.arg("--png").arg(path("film")).arg("--report").arg(path("report.json"));
-    let output = command.output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let output = draw(&mut command);
 
     let mut report = read(&path("report.json"));
     let frames = report.as_object_mut().unwrap().remove("frames").unwrap();
@@ -94,7 +93,7 @@ fn a_film_is_made_of_the_pictures_of_its_eyes_and_its_report_says_all() {
         let mut command = areoid();
         command.arg("snapshot").arg(&CATALOG.1).arg("-o").arg(path("picture.png"));
         command.arg(format!("--eye={}", list(eye))).arg(format!("--look={}", list(look)));
-        run(command.args(["--size", "160x90"]));
+        draw(command.args(["--size", "160x90"]));
         let [film, picture] = [path("film").join(&name), path("picture.png")]
             .map(|path| image::open(path).unwrap().to_rgb8());
         assert_eq!(film.dimensions(), (160, 90));
@@ -168,11 +167,11 @@ fn what_cannot_be_flown_is_told_and_leaves_nothing() {
 
     // A film in its place is replaced if that is asked for, frames of the longer one too.
     let film = |options: &[&str]| fly(catalog, &good, &[&["--pace", "fast"], options].concat());
-    run(film(&["--frames", "3"]).arg("--png").arg(path("film")));
+    draw(film(&["--frames", "3"]).arg("--png").arg(path("film")));
     let again = film(&["--frames", "2"]).arg("--png").arg(path("film")).output().unwrap();
     assert_eq!(again.status.code(), Some(1));
     assert_eq!(fs::read_dir(path("film")).unwrap().count(), 3);
-    run(film(&["--frames", "2", "--force"]).arg("--png").arg(path("film")));
+    draw(film(&["--frames", "2", "--force"]).arg("--png").arg(path("film")));
     assert_eq!(fs::read_dir(path("film")).unwrap().count(), 2);
     assert_eq!(listing(folder.path()).len(), before.len() + 1);
 }

@@ -2,19 +2,19 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Output;
+use std::process::{Command, Output};
 
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::{CATALOG, areoid};
+use crate::{CATALOG, areoid, draw};
 
 /// A snapshot of Olympus Mons with options, into `folder`.
-fn snapshot(folder: &Path, options: &[&str]) -> Output {
+fn snapshot(folder: &Path, options: &[&str]) -> Command {
     let mut command = areoid();
     command.arg("snapshot").arg(&CATALOG.1).arg("-o").arg(folder.join("picture.png"));
     command.args(["--eye=-133,18,900000", "--size", "96x64", "--json"]).args(options);
-    command.output().unwrap()
+    command
 }
 
 fn said(output: &Output) -> String {
@@ -27,8 +27,7 @@ fn what_a_style_leaves_out_is_neither_drawn_nor_loaded() {
     let style = folder.path().join("style.json");
     let drawn = |text: &str| {
         fs::write(&style, text).unwrap();
-        let output = snapshot(folder.path(), &["--style", style.to_str().unwrap()]);
-        assert!(output.status.success(), "{}", said(&output));
+        let output = draw(&mut snapshot(folder.path(), &["--style", style.to_str().unwrap()]));
         let report: Value = serde_json::from_slice(&output.stdout).unwrap();
         let picture = fs::read(folder.path().join("picture.png")).unwrap();
         (picture, report["pages"].as_u64().unwrap(), said(&output))
@@ -38,7 +37,15 @@ fn what_a_style_leaves_out_is_neither_drawn_nor_loaded() {
     let (bare, fewer, _) = drawn(r#"{"layers": [{"dataset": "viking_color", "weight": 0}]}"#);
     assert!(fewer < pages && bare != whole, "{fewer} of {pages} pages");
     let (same, as_many, warned) = drawn(r#"{"layers": [{"dataset": "nobody", "weight": 0}]}"#);
-    assert!((same, as_many) == (whole, pages) && warned.contains("nobody"), "{warned}");
+    assert!((same, as_many) == (whole.clone(), pages) && warned.contains("nobody"), "{warned}");
+    let (colored, as_many, _) = drawn(
+        r#"{"layers": [{"dataset": "mola_height_8ppd", "priority": 9,
+            "ramp": {"stops": [{"height_m": 0, "color": [0, 0, 200]}]}}]}"#,
+    );
+    assert!(colored != whole && as_many == pages);
+    let picture = image::load_from_memory(&colored).unwrap().to_rgb8();
+    let is_blue = |pixel: &&image::Rgb<u8>| pixel.0[2] > 20 && pixel.0[0] < 10;
+    assert!(picture.pixels().filter(is_blue).count() > 2000);
 }
 
 #[test]
@@ -63,7 +70,7 @@ fn what_is_no_style_date_or_light_is_told() {
         (&["--aov", "height=h.npy", "--aov", "level=h.npy"], 2, "written twice"),
     ];
     for (options, code, why) in cases {
-        let output = snapshot(folder.path(), options);
+        let output = snapshot(folder.path(), options).output().unwrap();
         assert_eq!(output.status.code(), Some(code), "{options:?}: {}", said(&output));
         assert!(said(&output).contains(why), "{options:?}: {}", said(&output));
         assert!(!folder.path().join("picture.png").exists(), "{options:?}");
@@ -75,8 +82,7 @@ fn what_is_no_style_date_or_light_is_told() {
 fn the_sun_is_where_it_was_on_a_date() {
     let folder = TempDir::new().unwrap();
     let brightness = |date: &str| -> u64 {
-        let output = snapshot(folder.path(), &["--date", date, "--atmosphere"]);
-        assert!(output.status.success(), "{}", said(&output));
+        draw(&mut snapshot(folder.path(), &["--date", date, "--atmosphere"]));
         let picture = image::open(folder.path().join("picture.png")).unwrap().into_luma8();
         picture.pixels().map(|pixel| u64::from(pixel.0[0])).sum()
     };
