@@ -40,6 +40,8 @@ pub(crate) struct Scene {
     next: u32,
     /// Changes of the tree since it was built anew.
     changes: usize,
+    /// The boxes around the datasets that came or went in the last change.
+    latest: Vec<Aabb>,
 }
 
 /// A dataset as the search sees it.
@@ -103,6 +105,7 @@ impl Scene {
             heights: [0.0; 2],
             next: 0,
             changes: 0,
+            latest: Vec::new(),
         }
     }
 
@@ -114,9 +117,11 @@ impl Scene {
     ) -> Self {
         let mut scene = self.clone();
         scene.generation += 1;
+        scene.latest.clear();
         for gone in scene.datasets.extract_if(.., |dataset| drop(&dataset.info)) {
             scene.tree.remove(gone.slot);
             scene.free.push(gone.slot);
+            scene.latest.push(gone.bounds());
             scene.changes += 1;
         }
         let newcomers: Vec<Newcomer> = newcomers.into_iter().collect();
@@ -143,6 +148,7 @@ impl Scene {
             let slot = scene.free.pop().unwrap_or_else(|| scene.add_slot());
             let dataset = Dataset::new(number, slot, info, pages, roots, scene.heights);
             dataset.plant(&mut scene.tree);
+            scene.latest.push(dataset.bounds());
             scene.changes += 1;
             scene.datasets.push(Arc::new(dataset));
         }
@@ -186,8 +192,8 @@ impl Scene {
         self.numbers.binary_search(&number).ok()
     }
 
-    /// The boxes around the datasets that one of two scenes has and the other has not, or `None` if
-    /// what both have may lie elsewhere.
+    /// The boxes around the datasets that one of two scenes has and the other, a later one, has not, or
+    /// `None` if what both have may lie elsewhere.
     pub(crate) fn changes<'a>(
         &'a self,
         other: &'a Self,
@@ -202,7 +208,12 @@ impl Scene {
             });
             numbers.map(|(place, _)| one.datasets[place].bounds())
         };
-        (self.heights == other.heights).then(|| lacks(self, other).chain(lacks(other, self)))
+        // Mostly it is the next.
+        let is_next = other.generation == self.generation + 1;
+        let latest = is_next.then_some(other.latest.iter().copied());
+        let all = (!is_next).then(|| lacks(self, other).chain(lacks(other, self)));
+        let changes = latest.into_iter().flatten().chain(all.into_iter().flatten());
+        (self.heights == other.heights).then_some(changes)
     }
 
     /// The places of the datasets that another scene has not, or `None` if those that both have may lie

@@ -47,6 +47,8 @@ pub struct Session {
     views: Vec<View>,
     /// Of each view.
     motions: Vec<Motion>,
+    /// Whether there is something to do for those who load and look ahead.
+    is_asking: bool,
     /// When it was last looked ahead, and how often it was.
     looked: Option<Instant>,
     looks: u32,
@@ -113,6 +115,7 @@ impl Session {
             matcher: Matcher::default(),
             views: Vec::new(),
             motions: Vec::new(),
+            is_asking: false,
             looked: None,
             looks: 0,
             hidden: Hidden::default(),
@@ -168,7 +171,9 @@ impl Session {
         self.search(views, now);
         let engine = Arc::clone(&self.engine);
         if self.settle_on(|| engine.shared().try_store(), now) {
-            engine.shared().wake();
+            if std::mem::take(&mut self.is_asking) {
+                engine.shared().wake();
+            }
         } else {
             // It is tried again even if the views stay.
             self.views.clear();
@@ -370,6 +375,7 @@ impl Session {
         if missing == 0 && self.next.is_none() && self.look_ahead {
             self.look_ahead(store, now);
         }
+        self.is_asking |= store.is_waiting();
 
         let Showing { scene, found } = &self.shown;
         // Roots for which there is no room are not among those found.
@@ -454,6 +460,7 @@ impl Session {
                     (self.exaggeration, self.allowance(), self.blends);
                 let task = Task { scene, views, exaggeration, hidden, allowance, blends, is_far };
                 lookouts.post(self.number, task);
+                self.is_asking = true;
             }
         } else {
             store.replace_ahead(self.number, Vec::new());

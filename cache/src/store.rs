@@ -294,6 +294,13 @@ impl Store {
         self.queues.get(&session).map_or(&[], |queue| &queue.roots)
     }
 
+    /// Whether a load may start, as far as that can be told without trying.
+    pub(crate) fn is_waiting(&self) -> bool {
+        let mut requests =
+            self.queues.values().flat_map(|queue| queue.requests.iter().chain(&queue.ahead));
+        self.loading.len() < self.limits.loads && requests.any(|request| !self.has(request.work))
+    }
+
     /// The next load to start, its memory reserved: the most urgent one of each session in turn.
     pub(crate) fn next(&mut self) -> Option<Request> {
         if self.loading.len() >= self.limits.loads {
