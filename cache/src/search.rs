@@ -365,6 +365,10 @@ impl Search<'_> {
             if page.level == dataset.finest || sights[views].iter().any(|sight| sight.is_whole) {
                 return true;
             }
+            // Mostly its middle tells, for which no part has to be fetched.
+            if self.lenses.iter().any(|lens| lens.shows(node.volume.bounds().center)) {
+                return true;
+            }
             let unseen =
                 memo.all_parts(dataset, page, (Self::PARTS, true), visited, &|part, is_last| {
                     let halvings = if is_last { Self::HALVINGS } else { 0 };
