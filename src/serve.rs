@@ -6,9 +6,8 @@ use std::process::ExitCode;
 use std::str::FromStr;
 use std::time::Duration;
 
-use areoid_cache::service::{Admin, Limits, Options, Service, ServiceError, run};
+use areoid_cache::service::{Admin, Limits, Options, Service, run};
 use serde::{Deserialize, Serialize};
-use tracing::warn;
 
 use crate::failure::Failure;
 use crate::output;
@@ -131,7 +130,7 @@ impl From<Door> for String {
 impl Door {
     /// Behind that of anybody, where nobody else comes.
     fn behind(listen: SocketAddr) -> Self {
-        // Any port has any port behind it; the last has none.
+        // Behind any port stands any port, and behind the last none.
         let port = if listen.port() == 0 { Some(0) } else { listen.port().checked_add(1) };
         port.map_or(Self::None, |port| Self::At((Ipv4Addr::LOCALHOST, port).into()))
     }
@@ -171,10 +170,20 @@ impl Settings {
         }
     }
 
+    /// Where the second listener is to be.
+    fn door(&self) -> Door {
+        self.admin.unwrap_or_else(|| Door::behind(self.listen.unwrap_or(LISTEN)))
+    }
+
     fn options(self, folder: PathBuf) -> Result<Options, Failure> {
-        let admin = self.admin.unwrap_or(Door::None);
-        if admin == Door::None && (self.token_file.is_some() || !self.allow.is_empty()) {
-            let reason = "--token-file and --allow are of no use with --admin none";
+        let changes = self.token_file.is_some() || !self.allow.is_empty();
+        let is_optional = self.admin.is_none() && !changes;
+        let door = self.door();
+        if door == Door::None && changes {
+            let reason = match self.admin {
+                Some(_) => "--token-file and --allow are of no use with --admin none",
+                None => "there is no port after 65535 for the second listener: say --admin",
+            };
             return Err(Failure::Misused(reason.to_owned()));
         }
         let default = Limits::default();
@@ -183,10 +192,13 @@ impl Settings {
             folder,
             listen: self.listen.unwrap_or(LISTEN),
             memory_bytes: self.memory_mib.unwrap_or(MEMORY_MIB).saturating_mul(1 << 20),
-            admin: match admin {
-                Door::At(listen) => {
-                    Some(Admin { listen, token_file: self.token_file, allowed: self.allow })
-                }
+            admin: match door {
+                Door::At(listen) => Some(Admin {
+                    listen,
+                    is_optional,
+                    token_file: self.token_file,
+                    allowed: self.allow,
+                }),
                 Door::None => None,
             },
             threads: self.threads,
@@ -205,23 +217,18 @@ impl Settings {
 impl Args {
     pub(crate) fn run(self) -> Result<ExitCode, Failure> {
         let file = self.config.as_deref().map(read_config).transpose()?.unwrap_or_default();
-        let mut settings = self.settings.over(file);
-        let asked = settings.admin.is_some() || settings.token_file.is_some();
-        settings.admin.get_or_insert_with(|| Door::behind(settings.listen.unwrap_or(LISTEN)));
+        let settings = self.settings.over(file);
         if self.print_config {
             output::line(toml::to_string(&settings)?.trim_end())?;
+            if settings.admin.is_none() {
+                let door: String = settings.door().into();
+                output::line(format!("# admin = \"{door}\", if that is free"))?;
+            }
             return Ok(ExitCode::SUCCESS);
         }
         log(settings.log_json == Some(true));
         let options = settings.options(self.catalog)?;
-        let place = options.admin.as_ref().map(|admin| admin.listen);
-        match run(&options, say) {
-            Err(ServiceError::Listen { address, source }) if !asked && place == Some(address) => {
-                warn!(%address, %source, "no second listener");
-                run(&Options { admin: None, ..options }, say)?;
-            }
-            ended => ended?,
-        }
+        run(&options, say)?;
         Ok(ExitCode::SUCCESS)
     }
 }

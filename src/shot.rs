@@ -195,8 +195,12 @@ pub(crate) fn read_style(path: Option<&Path>, cache: &Cache) -> Result<Style, Fa
     })?;
     let style = Style::from_json(&text)
         .map_err(|error| io::Error::other(format!("{shown}: {}", in_full(&error))))?;
-    for name in style.unknown(&cache.datasets()) {
+    let datasets = cache.datasets();
+    for name in style.unknown(&datasets) {
         output::say(format_args!("warning: {shown} names {name:?}, which is no dataset here"));
+    }
+    for name in style.idle_ramps(&datasets) {
+        output::say(format_args!("warning: {shown} has a ramp for {name:?}, which has no heights"));
     }
     Ok(style)
 }

@@ -99,9 +99,10 @@ fn run(command: &mut Command) {
 
 /// Runs what draws, and hears what the validation layer says of it.
 fn draw(command: &mut Command) -> Output {
-    let _notes = TempDir::new().unwrap();
     #[cfg(target_os = "linux")]
-    let validation = support::validation::Validation::new(_notes.path());
+    let notes = TempDir::new().unwrap();
+    #[cfg(target_os = "linux")]
+    let validation = support::validation::Validation::new(notes.path());
     #[cfg(target_os = "linux")]
     validation.watch(command);
     let output = command.output().unwrap();

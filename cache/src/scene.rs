@@ -163,7 +163,7 @@ impl Scene {
 
     /// Builds the tree anew once an eighth of it has changed, if that makes it better.
     fn keep_tree(&mut self) {
-        const FEW: usize = 64;
+        const FEW: usize = 32;
         if self.changes > FEW.max(self.datasets.len() / 8) {
             let boxes = self.datasets.iter().map(|dataset| (dataset.slot, dataset.bounds()));
             let mut fresh = Bvh::build(boxes);

@@ -365,7 +365,8 @@ impl Search<'_> {
             if page.level == dataset.finest || sights[views].iter().any(|sight| sight.is_whole) {
                 return true;
             }
-            // Mostly its middle tells, for which no part has to be fetched.
+            // Mostly its own middle tells, for which no part has to be fetched. Its box is not flat: some pages
+            // stay that could go.
             if self.lenses.iter().any(|lens| lens.shows(node.volume.bounds().center)) {
                 return true;
             }

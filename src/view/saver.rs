@@ -1,13 +1,16 @@
 //! Files of a window, written one after the other on a thread of their own.
 
 use std::path::Path;
-use std::sync::mpsc::{self, Receiver, Sender};
+use std::sync::mpsc::{self, Receiver, Sender, SyncSender, TrySendError};
 use std::thread::{self, JoinHandle};
 
 use areoid_viewer::window::Content;
 
 use crate::output;
 use crate::shot::png;
+
+/// Files that wait for their turn; one more is refused.
+const WAITING: usize = 4;
 
 /// Names that are tried for a new file.
 const MOST_FILES: u32 = 10_000;
@@ -18,7 +21,7 @@ type Saved = Result<String, String>;
 #[derive(Debug)]
 pub(super) struct Saver {
     /// `None` where there is no thread, or no more.
-    given: Option<Sender<(String, Content)>>,
+    given: Option<SyncSender<(String, Content)>>,
     written: Receiver<Saved>,
     /// Says what cannot be given.
     refuses: Sender<Saved>,
@@ -27,7 +30,7 @@ pub(super) struct Saver {
 
 impl Saver {
     pub(super) fn new() -> Self {
-        let (given, taken) = mpsc::channel::<(String, Content)>();
+        let (given, taken) = mpsc::sync_channel::<(String, Content)>(WAITING);
         let (says, written) = mpsc::channel();
         let refuses = says.clone();
         let thread = thread::Builder::new().name("files".to_owned()).spawn(move || {
@@ -41,12 +44,14 @@ impl Saver {
 
     /// Begins to write a new file whose name begins with `stem`.
     pub(super) fn save(&mut self, stem: &str, content: Content) {
-        let is_given =
-            self.given.as_ref().is_some_and(|given| given.send((stem.to_owned(), content)).is_ok());
-        if !is_given {
-            // The other end is its own.
-            let _ = self.refuses.send(Err("there is no thread that writes files".to_owned()));
-        }
+        let given = self.given.as_ref().map(|given| given.try_send((stem.to_owned(), content)));
+        let reason = match given {
+            Some(Ok(())) => return,
+            Some(Err(TrySendError::Full(_))) => "too many files are waiting to be written",
+            Some(Err(TrySendError::Disconnected(_))) | None => "nobody writes files any more",
+        };
+        // The other end is its own.
+        let _ = self.refuses.send(Err(reason.to_owned()));
     }
 
     /// What became of a file; of each once.
@@ -61,6 +66,9 @@ impl Drop for Saver {
         if let Some(thread) = self.thread.take() {
             // Had it panicked, that would have been said.
             let _ = thread.join();
+        }
+        for reason in self.written.try_iter().filter_map(Result::err) {
+            output::say(format_args!("error: {reason}"));
         }
     }
 }

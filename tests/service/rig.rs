@@ -101,6 +101,7 @@ impl Place {
             memory_bytes: 16 << 20,
             admin: Some(Admin {
                 listen: "127.0.0.1:0".parse().unwrap(),
+                is_optional: false,
                 token_file: Some(self.path("token")),
                 allowed: vec![self.path("rasters")],
             }),

@@ -108,8 +108,9 @@ impl Ramp {
         pairs.map(slope).fold(0.0, f64::max)
     }
 
-    fn check(&self) -> Result<(), StyleError> {
-        let bad = |reason| Err(StyleError::Ramp { reason });
+    /// It is `called` so in an error.
+    fn check(&self, called: &str) -> Result<(), StyleError> {
+        let bad = |reason| Err(StyleError::Ramp { ramp: called.to_owned(), reason });
         if self.stops.is_empty() || self.stops.len() > Self::MOST_STOPS {
             return bad("must have 1 to 16 stops");
         }
@@ -171,8 +172,10 @@ pub enum StyleError {
         found: f64,
     },
     /// A ramp that is none.
-    #[error("the ramp {reason}")]
+    #[error("{ramp} {reason}")]
     Ramp {
+        /// Which it is.
+        ramp: String,
         /// What is wrong with it.
         reason: &'static str,
     },
@@ -197,7 +200,14 @@ impl Style {
             let (dataset, found) = (layer.dataset.clone(), layer.weight);
             return Err(StyleError::Weight { dataset, found });
         }
-        style.ramps().try_for_each(Ramp::check)?;
+        if let Some(ramp) = &style.ramp {
+            ramp.check("the ramp")?;
+        }
+        for layer in &style.layers {
+            if let Some(ramp) = &layer.ramp {
+                ramp.check(&format!("layer {:?}: its ramp", layer.dataset))?;
+            }
+        }
         let found = style.ramps().map(|ramp| ramp.stops.len()).sum();
         if found > Ramp::MOST_STOPS_IN_ALL {
             return Err(StyleError::Stops { found });
@@ -205,11 +215,14 @@ impl Style {
         Ok(style)
     }
 
-    /// Where the stops of one of its ramps stand among [`Self::stops`].
-    fn place_of(&self, ramp: &Ramp) -> [u32; 2] {
+    /// Where the stops of one of its ramps stand among [`Self::stops`]; none, if it has none or there are too
+    /// many.
+    fn place_of(&self, ramp: &Ramp) -> Option<[u32; 2]> {
         let before = self.ramps().take_while(|other| !std::ptr::eq(*other, ramp));
-        [before.map(|other| other.stops.len()).sum(), ramp.stops.len()]
-            .map(|count: usize| u32::try_from(count).expect("a style has few stops"))
+        let (first, count) = (before.map(|other| other.stops.len()).sum(), ramp.stops.len());
+        let fits = count > 0 && first + count <= Ramp::MOST_STOPS_IN_ALL;
+        let narrow = |place: usize| u32::try_from(place).ok();
+        Some([narrow(first)?, narrow(count)?]).filter(|_| fits)
     }
 
     /// The stops of all ramps, one behind the other.
@@ -236,6 +249,22 @@ impl Style {
         self.layers.iter().filter(move |layer| !is_known(layer)).map(|layer| layer.dataset.as_str())
     }
 
+    /// The names of layers whose ramp colors nothing: their datasets have no heights.
+    pub fn idle_ramps(&self, datasets: &Datasets) -> impl Iterator<Item = &str> {
+        let is_idle = |layer: &&Layer| {
+            let is_meant = |name: &str| layer.closeness(name).is_some();
+            let mut meant = datasets.iter().filter(|(_, info)| is_meant(&info.name)).peekable();
+            meant.peek().is_some() && meant.all(|(_, info)| info.kind != Kind::Height)
+        };
+        let with_ramps = self.layers.iter().filter(|layer| layer.ramp.is_some());
+        with_ramps.filter(is_idle).map(|layer| layer.dataset.as_str())
+    }
+
+    /// Whether there is room for so many stops more.
+    pub(crate) fn has_room(&self, stops: usize) -> bool {
+        self.stops().count() + stops <= Ramp::MOST_STOPS_IN_ALL
+    }
+
     /// Whether a dataset has no weight: nothing of it has to be loaded.
     #[must_use]
     pub fn hides(&self, dataset: &str) -> bool {
@@ -259,11 +288,9 @@ impl Style {
             stops: NO_STOPS,
         };
         let ramp = layer.and_then(|layer| layer.ramp.as_ref()).filter(|_| kind == Kind::Height);
-        let colored = ramp.map(|ramp| Part {
-            plane: Plane::Colors,
-            weight: own.weight * ramp.opacity,
-            stops: self.place_of(ramp),
-            ..own
+        let colored = ramp.and_then(|ramp| {
+            let weight = own.weight * ramp.opacity;
+            Some(Part { plane: Plane::Colors, weight, stops: self.place_of(ramp)?, ..own })
         });
         [Some(own), colored].into_iter().flatten().filter(|part| part.weight > 0.0)
     }
@@ -383,7 +410,10 @@ mod tests {
                 r#"{"ramp": {"stops": [{"height_m": 1, "color": [0,0,0]}], "opacity": -1}}"#,
                 "opacity",
             ),
-            (r#"{"layers": [{"dataset": "a", "ramp": {"stops": []}}]}"#, "1 to 16 stops"),
+            (
+                r#"{"layers": [{"dataset": "a", "ramp": {"stops": []}}]}"#,
+                "layer \"a\": its ramp must have 1 to 16 stops",
+            ),
             (r#"{"ramp": {"stops": [{"height_m": 1e39, "color": [0,0,0]}]}}"#, "no style"),
             (r#"{"ramp": {"stops": [{"height_m": 0, "color": [0,0,256]}]}}"#, "no style"),
         ] {
@@ -431,6 +461,12 @@ mod tests {
             ..Layer::of("a")
         };
         let all = Style { layers: vec![many; 17], ramp: None };
+        // One that does not go through JSON draws what fits.
+        let drawn = |first: usize| {
+            let style = Style { layers: all.layers[first..].to_vec(), ramp: None };
+            style.parts("a", Kind::Height, 0).count()
+        };
+        assert_eq!([0, 1].map(drawn), [1, 2]);
         let error = Style::from_json(&serde_json::to_string(&all).unwrap()).unwrap_err();
         assert!(error.to_string().contains("272 stops together"), "{error}");
     }

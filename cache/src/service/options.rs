@@ -30,6 +30,8 @@ pub struct Options {
 pub struct Admin {
     /// Where it listens: on the loopback only, unless there is a token.
     pub listen: SocketAddr,
+    /// Whether the service does without where that is taken.
+    pub is_optional: bool,
     /// A file whose first line is the token; without one nobody may change anything.
     pub token_file: Option<PathBuf>,
     /// Folders that rasters may lie in.

@@ -16,7 +16,7 @@ use super::cores::Core;
 use super::hub::{HEIGHTS, Hub, stopped};
 use super::lanes::Lane;
 use super::listen::accept;
-use super::options::{Options, ServiceError};
+use super::options::{Admin, Options, ServiceError};
 use super::public;
 
 /// How often the catalog's folder is looked at.
@@ -53,6 +53,7 @@ impl Service {
             .as_ref()
             .map(|admin| Gate::open(admin, options.limits.insertions))
             .transpose()?;
+        let admin = options.admin.as_ref().map(bind_admin).transpose()?.flatten();
         crate::insertion::sweep(&options.folder);
         let limits = options.limits;
         let hub = Hub::open(&options.folder, options.memory_bytes, limits)?;
@@ -63,7 +64,7 @@ impl Service {
         let places = Arc::new(Semaphore::new(limits.connections));
 
         let mut service = Self { hub, threads: Vec::new(), public, admin: None };
-        let started = service.start_threads(options, gate, &listener, &places);
+        let started = service.start_threads(options, gate, (&listener, admin), &places);
         if let Err(error) = started {
             service.stop();
             return Err(error);
@@ -75,7 +76,7 @@ impl Service {
         &mut self,
         options: &Options,
         gate: Option<Gate>,
-        listener: &TcpListener,
+        (listener, admin): (&TcpListener, Option<TcpListener>),
         places: &Arc<Semaphore>,
     ) -> Result<(), ServiceError> {
         let limits = options.limits;
@@ -99,7 +100,6 @@ impl Service {
             })?;
         }
 
-        let admin = options.admin.as_ref().map(|admin| bind(admin.listen)).transpose()?;
         self.admin = admin.as_ref().and_then(|admin| admin.local_addr().ok());
         let (hub, runtime) = (Arc::clone(&self.hub), runtime(READS, None)?);
         self.spawn("areoid-control".to_owned(), runtime, async move {
@@ -264,6 +264,17 @@ fn bind(address: SocketAddr) -> Result<TcpListener, ServiceError> {
         Ok(listener)
     });
     listener.map_err(|source| ServiceError::Listen { address, source })
+}
+
+/// The second listener, or none where that is taken and may be done without.
+fn bind_admin(admin: &Admin) -> Result<Option<TcpListener>, ServiceError> {
+    match bind(admin.listen) {
+        Err(ServiceError::Listen { address, source }) if admin.is_optional => {
+            warn!(%address, %source, "no second listener");
+            Ok(None)
+        }
+        listener => listener.map(Some),
+    }
 }
 
 /// Threads that may wait go where the one that answers may, while it keeps to its core.

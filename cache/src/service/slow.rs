@@ -32,7 +32,7 @@ fn rig() -> Rig {
         folder: folder.path().to_owned(),
         listen,
         memory_bytes: 64 << 20,
-        admin: Some(Admin { listen, token_file: None, allowed: Vec::new() }),
+        admin: Some(Admin { listen, is_optional: false, token_file: None, allowed: Vec::new() }),
         threads: Some(2),
         limits: Limits::default(),
     })

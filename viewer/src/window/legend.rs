@@ -1,11 +1,12 @@
 //! What the picture's colors mean, where they are not the ground's.
 
-use areoid_cache::Datasets;
+use areoid_cache::{DatasetInfo, Datasets};
+use areoid_formats::page::Kind;
 use egui::{Color32, Sense, Ui, vec2};
 
 use super::settings::Settings;
 use crate::render::Debug;
-use crate::style::Ramp;
+use crate::style::{Ramp, Role};
 
 /// A color and what it stands for.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,14 +38,26 @@ fn entries(settings: &Settings, datasets: &Datasets) -> Vec<Entry> {
         tell(&ramp, "");
     }
     for layer in &settings.style.layers {
-        if let Some(ramp) = layer.ramp.as_ref().filter(|_| layer.weight > 0.0) {
+        let is_meant = |info: &DatasetInfo| {
+            let found = settings.style.layer(&info.name);
+            info.kind == Kind::Height && found.is_some_and(|found| std::ptr::eq(found, layer))
+        };
+        let is_drawn = datasets.iter().any(|(_, info)| is_meant(info));
+        let ramp = layer.ramp.as_ref().filter(|ramp| layer.weight * ramp.opacity > 0.0 && is_drawn);
+        if let Some(ramp) = ramp {
             tell(ramp, &format!(" of {}", layer.dataset));
         }
     }
     match settings.debug {
         Debug::Off => {}
         Debug::Dataset => {
-            let shown = datasets.iter().filter(|(_, info)| !settings.style.hides(&info.name));
+            let may_be_told = |info: &DatasetInfo| match info.kind {
+                Kind::Height => true,
+                Kind::Color => settings.layer(&info.name).role == Role::Color,
+                Kind::Normal => false,
+            };
+            let is_shown = |info: &DatasetInfo| !settings.style.hides(&info.name);
+            let shown = datasets.iter().filter(|(_, info)| may_be_told(info) && is_shown(info));
             entries.extend(shown.map(|(number, info)| {
                 let number = u32::try_from(number).unwrap_or(u32::MAX);
                 entry(color_of_number(number).map(code), &info.name)
@@ -90,13 +103,16 @@ fn code(light: f64) -> u8 {
 
 #[cfg(test)]
 mod tests {
+    use areoid_formats::body::Ellipsoid;
+    use areoid_formats::grid::Outline;
+    use areoid_formats::projection::{Crs, Projection};
     use bytemuck::{Pod, Zeroable};
 
     use super::*;
     use crate::render::testing::{Given, compute};
     use crate::shader::Program;
     use crate::style::{Layer, Stop, Style};
-    use crate::testing::gpu;
+    use crate::testing::{dataset, gpu};
 
     /// A question to both functions of colors, and their answers.
     #[repr(C)]
@@ -162,7 +178,16 @@ fn probe(@builtin(global_invocation_id) id: vec3u) {
         assert!(texts(&plain).is_empty());
         let ramp = plain.style.ramp.clone();
         plain.style.layers = vec![Layer { ramp, ..Layer::of("hill") }];
-        assert_eq!(texts(&plain), ["20.5 m of hill", "-10 m of hill"]);
+        assert!(texts(&plain).is_empty(), "of a dataset that is not there");
+        let degrees = Crs::new(Projection::Geographic, Ellipsoid::WGS84);
+        let outline = Outline { origin: [0.0; 2], pixel_size: [1.0; 2], width: 4, height: 4 };
+        let [hill, shades] = [("hill", Kind::Height), ("shades", Kind::Normal)]
+            .map(|(name, kind)| dataset(name, kind, degrees, outline, 64, 0));
+        let datasets = Datasets::from(vec![shades, hill]);
+        let all = entries(&Settings { debug: Debug::Dataset, ..plain.clone() }, &datasets);
+        let told: Vec<_> = all.iter().map(|entry| entry.text.as_str()).collect();
+        assert_eq!(told, ["20.5 m of hill", "-10 m of hill", "hill"]);
+        assert_eq!(all[2].color, color_of_number(1).map(code));
 
         let levels = entries(&settings(Debug::Level), &Datasets::default());
         assert_eq!(levels.len(), 2 + LEVELS as usize);

@@ -4,7 +4,7 @@ use areoid_cache::{Datasets, Stats};
 use areoid_formats::body::Ellipsoid;
 use areoid_formats::page::Kind;
 use areoid_formats::units::Degrees;
-use egui::{Context, DragValue, Key, Slider, Ui};
+use egui::{Checkbox, Context, DragValue, Key, Slider, Ui};
 
 use super::arrangement::Arrangement;
 use super::host::{Insertion, InsertionState};
@@ -207,9 +207,10 @@ fn layers(ui: &mut Ui, settings: &mut Settings, datasets: &Datasets) {
                 ui.label("series");
                 ui.add(DragValue::new(&mut layer.series).range(0..=99));
                 if row.kind == Kind::Height {
-                    let mut has_ramp = layer.ramp.is_some();
-                    if ui.checkbox(&mut has_ramp, "colors").changed() {
-                        layer.ramp = has_ramp.then(ramp);
+                    let (mut has_ramp, ramp) = (layer.ramp.is_some(), ramp());
+                    let may = has_ramp || settings.style.has_room(ramp.stops.len());
+                    if ui.add_enabled(may, Checkbox::new(&mut has_ramp, "colors")).changed() {
+                        layer.ramp = has_ramp.then_some(ramp);
                     }
                 }
                 if row.kind == Kind::Color {
