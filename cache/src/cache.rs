@@ -169,7 +169,7 @@ impl Cache {
     /// The datasets of now. Waits while another thread replaces them.
     #[must_use]
     pub fn datasets(&self) -> Datasets {
-        self.engine.shared().scene().infos()
+        self.engine.shared().scene().infos.clone()
     }
 
     /// Datasets that were left out when the cache was opened, and why.

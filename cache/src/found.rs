@@ -2,6 +2,9 @@
 
 use std::collections::BinaryHeap;
 
+use areoid_formats::archive::PageEntry;
+use glam::DVec3;
+
 use crate::scene::Node;
 use crate::view::{Lens, Sight};
 
@@ -10,7 +13,13 @@ use crate::view::{Lens, Sight};
 pub(crate) struct Seen {
     /// Its dataset's place in the scene.
     pub(crate) dataset: usize,
-    pub(crate) node: Node,
+    /// Its dataset's number.
+    pub(crate) number: usize,
+    pub(crate) entry: PageEntry,
+    /// At least the ground meters of one of its texels, and at most those of its parent's.
+    pub(crate) texel_m: f64,
+    /// The middle of its volume.
+    pub(crate) middle: DVec3,
     /// Its place in [`Found::seen`].
     pub(crate) parent: Option<usize>,
     /// From the nearest eye that sees it.
@@ -31,19 +40,26 @@ pub(crate) struct Glance {
 }
 
 impl Glance {
-    pub(crate) fn seen(self, dataset: usize, node: &Node, parent: Option<usize>) -> Seen {
+    /// Of a page of a dataset, by its place in the scene and its number.
+    pub(crate) fn seen(
+        self,
+        (dataset, number): (usize, usize),
+        node: &Node,
+        parent: Option<usize>,
+    ) -> Seen {
         let Self { texel_m, distance, error_m, pixels } = self;
-        Seen { dataset, node: Node { texel_m, ..*node }, parent, distance, error_m, pixels }
+        let (entry, middle) = (node.entry, node.volume.bounds().center);
+        Seen { dataset, number, entry, texel_m, middle, parent, distance, error_m, pixels }
     }
 }
 
 /// A root in sight.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Root {
-    /// Its dataset's place in the scene.
-    pub(crate) dataset: usize,
+    /// Its dataset's slot in the scene.
+    pub(crate) slot: usize,
     /// Its place among the dataset's roots.
-    pub(crate) number: usize,
+    pub(crate) place: usize,
     pub(crate) glance: Glance,
 }
 
@@ -67,6 +83,8 @@ pub(crate) struct Found {
     pub(crate) root_sights: Vec<Sight>,
     pub(crate) heap: BinaryHeap<Candidate>,
     pub(crate) lenses: Vec<Lens>,
+    /// Room for branches of the tree and places of datasets.
+    pub(crate) room: [Vec<usize>; 2],
     /// Pages that gave way to their children, and their least error where they are seen, over the
     /// largest with which they still show.
     pub(crate) refined: Vec<(usize, f64)>,
@@ -88,6 +106,8 @@ pub(crate) enum Step {
     Draw,
     /// `place` is a branch of the tree over the datasets.
     Climb,
+    /// The same, and all of it is in sight.
+    Sweep,
 }
 
 impl Found {
@@ -136,7 +156,8 @@ impl Candidate {
         match self.0 >> 62 & 3 {
             0 => Step::Refine,
             1 => Step::Draw,
-            _ => Step::Climb,
+            2 => Step::Climb,
+            _ => Step::Sweep,
         }
     }
 }
@@ -147,7 +168,7 @@ mod tests {
 
     #[test]
     fn candidates_are_what_they_were_made_of_and_in_order() {
-        let steps = [Step::Refine, Step::Draw, Step::Climb];
+        let steps = [Step::Refine, Step::Draw, Step::Climb, Step::Sweep];
         let errors = [0.0, f64::MIN_POSITIVE, 0.5, 1.0, 1e9, f64::MAX, f64::INFINITY];
         let mut last = None;
         for pixels in errors {

@@ -41,6 +41,8 @@ mod search;
 
 mod store;
 
+mod held;
+
 mod matching;
 
 mod lookout;

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use areoid_formats::archive::Payload;
 
 use crate::found::{Found, Seen};
+use crate::held::Held;
 use crate::scene::Scene;
 use crate::selection::{FailedPage, ResidentPage};
 use crate::store::{PageName, Request, Store, Work};
@@ -42,8 +43,8 @@ struct Mark {
 }
 
 impl Seen {
-    pub(crate) fn name(&self, scene: &Scene) -> PageName {
-        PageName { dataset: scene.number(self.dataset), page: self.node.entry.page }
+    pub(crate) fn name(&self) -> PageName {
+        PageName { dataset: self.number, page: self.entry.page }
     }
 }
 
@@ -60,11 +61,12 @@ impl Matcher {
         &mut self,
         scene: &Scene,
         found: &Found,
+        held: &Held,
         store: &mut Store,
         requests: &mut Vec<Request>,
     ) -> Match {
         self.begin(found);
-        found.wanted.iter().for_each(|&place| store.fetch(found.seen[place].name(scene)));
+        held.fetch();
         let mut result = Match::default();
         let failure = |name: PageName, error: &Arc<str>| FailedPage {
             dataset: name.dataset,
@@ -75,8 +77,8 @@ impl Matcher {
             if seen.parent.is_some() {
                 continue;
             }
-            let name = seen.name(scene);
-            match store.touch(name) {
+            let name = seen.name();
+            match held.get(name, store) {
                 Some(root) => {
                     result.roots.push(root);
                     self.marks[place].root = result.roots.len();
@@ -96,11 +98,11 @@ impl Matcher {
                     is_shown = true;
                     break;
                 }
-                let name = seen.name(scene);
+                let name = seen.name();
                 let root = self.marks[place].root.checked_sub(1);
                 let page = match root {
                     Some(root) => Some(Arc::clone(&result.roots[root])),
-                    None => store.touch(name),
+                    None => held.get(name, store),
                 };
                 if let Some(page) = page {
                     self.marks[place].used = true;
@@ -130,8 +132,8 @@ impl Matcher {
             if self.marks[place].used {
                 continue;
             }
-            let name = found.seen[place].name(scene);
-            if let Some(page) = store.touch(name) {
+            let name = found.seen[place].name();
+            if let Some(page) = held.get(name, store) {
                 // Where it shows its error is within the tolerance.
                 let most_px = found.seen[place].pixels.min(found.tolerance_px);
                 result.error_px = result.error_px.max(most_px);
@@ -146,9 +148,9 @@ impl Matcher {
                 self.ask(place, name);
             }
         }
-        self.ask_for_few(scene, found, store);
+        self.ask_for_few(found, store);
         for &place in &found.unindexed {
-            let name = found.seen[place].name(scene);
+            let name = found.seen[place].name();
             match store.error(Work::Children(name)) {
                 Some(error) => result.failed.push(failure(name, error)),
                 None => {
@@ -158,20 +160,20 @@ impl Matcher {
             }
         }
         for pages in [&mut result.pages, &mut result.beneath] {
-            pages.sort_unstable_by_key(|page| (page.entry.page, page.dataset));
+            pages.sort_by_cached_key(|page| (page.entry.page, page.dataset));
         }
         self.end(scene, found, requests);
         result
     }
 
     /// Asks for what stands in for many.
-    fn ask_for_few(&mut self, scene: &Scene, found: &Found, store: &Store) {
+    fn ask_for_few(&mut self, found: &Found, store: &Store) {
         // Children come after their parents.
         for (place, seen) in found.seen.iter().enumerate().rev() {
             let Some(parent) = seen.parent else { continue };
             let Mark { waiting, asked, .. } = self.marks[place];
             if waiting >= Self::FEW && !asked {
-                let name = seen.name(scene);
+                let name = seen.name();
                 if !store.holds(name) && store.error(Work::Texels(name)).is_none() {
                     self.ask(place, name);
                 }
@@ -194,13 +196,13 @@ impl Matcher {
     ) {
         self.begin(found);
         for &place in found.wanted.iter().chain(&found.beneath) {
-            let name = found.seen[place].name(scene);
+            let name = found.seen[place].name();
             if needs_load(Work::Texels(name)) {
                 self.ask(place, name);
             }
         }
         for &place in &found.unindexed {
-            let work = Work::Children(found.seen[place].name(scene));
+            let work = Work::Children(found.seen[place].name());
             if needs_load(work) {
                 self.needs.push((place, work));
             }
@@ -226,7 +228,7 @@ impl Matcher {
         // Coarse is what has large texels, in steps of two: levels of two datasets do not compare. The
         // exponent of x √2 is the logarithm of x, rounded.
         let coarseness = |seen: &Seen| {
-            (seen.node.texel_m.max(f64::MIN_POSITIVE) * std::f64::consts::SQRT_2).to_bits() >> 52
+            (seen.texel_m.max(f64::MIN_POSITIVE) * std::f64::consts::SQRT_2).to_bits() >> 52
         };
         self.needs.sort_by(|&(one, one_work), &(other, other_work)| {
             let (a, b) = (&found.seen[one], &found.seen[other]);
@@ -239,7 +241,7 @@ impl Matcher {
         requests.extend(self.needs.drain(..).map(|(place, work)| {
             let seen = &found.seen[place];
             let dataset = &scene.datasets[seen.dataset];
-            let entry = seen.node.entry;
+            let entry = seen.entry;
             let stored = match entry.payload {
                 Payload::Constant(_) => 0,
                 Payload::Record { length, .. } => length as usize,

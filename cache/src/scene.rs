@@ -13,7 +13,6 @@ use areoid_formats::page::Kind;
 use areoid_formats::projection::Crs;
 use areoid_formats::units::Meters;
 use areoid_formats::volume::Volume;
-use smallvec::SmallVec;
 
 use crate::pages::PageSource;
 use crate::selection::{DatasetInfo, Datasets};
@@ -25,12 +24,14 @@ pub(crate) struct Scene {
     pub(crate) generation: u64,
     /// By number, ascending.
     pub(crate) datasets: Vec<Arc<Dataset>>,
-    /// Their numbers, side by side.
-    numbers: Vec<usize>,
+    /// What there is to say of them.
+    pub(crate) infos: Datasets,
     /// Over the root volumes, by slot.
     pub(crate) tree: Bvh,
     /// By slot: a dataset's place in `datasets`.
     pub(crate) slots: Vec<usize>,
+    /// By slot.
+    leaves: Leaves,
     /// Slots of datasets that are gone, for others.
     free: Vec<u32>,
     body: Body,
@@ -56,8 +57,7 @@ pub(crate) struct Dataset {
     pub(crate) kind: Kind,
     pub(crate) finest: Level,
     texels: usize,
-    /// Mostly one, which a search finds beside all this.
-    pub(crate) roots: SmallVec<[Node; 1]>,
+    pub(crate) roots: Vec<Node>,
     /// The terrain that colors lie on.
     heights: [f64; 2],
 }
@@ -70,6 +70,23 @@ pub(crate) struct Node {
     /// At least the ground meters of a texel.
     pub(crate) texel_m: f64,
 }
+
+/// What a search reads of a dataset that it has found in sight, in as few lines of a processor's cache as it can:
+/// their misses are most of what that costs.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
+pub(crate) struct Leaf {
+    /// Its root, if it has one and no more.
+    pub(crate) root: Option<Node>,
+    pub(crate) number: usize,
+    pub(crate) kind: Kind,
+    /// As in [`Dataset`].
+    texels: usize,
+}
+
+/// One for each slot, in blocks that a scene shares with the one before.
+#[derive(Clone, Debug, Default)]
+struct Leaves(Vec<Arc<[Leaf]>>);
 
 /// A dataset to be, with what is known of its roots.
 #[derive(Clone, Debug)]
@@ -97,9 +114,10 @@ impl Scene {
         Self {
             generation: 0,
             datasets: Vec::new(),
-            numbers: Vec::new(),
+            infos: Datasets::default(),
             tree: Bvh::default(),
             slots: Vec::new(),
+            leaves: Leaves::default(),
             free: Vec::new(),
             body,
             heights: [0.0; 2],
@@ -138,6 +156,7 @@ impl Scene {
             for dataset in scene.datasets.iter_mut().filter(|dataset| dataset.is_laid_on()) {
                 let moved = dataset.on(heights);
                 moved.plant(&mut scene.tree);
+                scene.leaves.set(moved.slot as usize, Leaf::of(&moved));
                 scene.changes += 1;
                 *dataset = Arc::new(moved);
             }
@@ -148,12 +167,13 @@ impl Scene {
             let slot = scene.free.pop().unwrap_or_else(|| scene.add_slot());
             let dataset = Dataset::new(number, slot, info, pages, roots, scene.heights);
             dataset.plant(&mut scene.tree);
+            scene.leaves.set(slot as usize, Leaf::of(&dataset));
             scene.latest.push(dataset.bounds());
             scene.changes += 1;
             scene.datasets.push(Arc::new(dataset));
         }
-        scene.numbers.clear();
-        scene.numbers.extend(scene.datasets.iter().map(|dataset| dataset.number));
+        let infos = scene.datasets.iter();
+        scene.infos = infos.map(|dataset| (dataset.number, Arc::clone(&dataset.info))).collect();
         for (place, dataset) in scene.datasets.iter().enumerate() {
             scene.slots[dataset.slot as usize] = place;
         }
@@ -182,14 +202,28 @@ impl Scene {
         u32::try_from(self.slots.len() - 1).expect("fewer than 2^32 datasets")
     }
 
-    /// The number of the dataset at a place. Numbers lie side by side; a dataset is a pointer away.
-    pub(crate) fn number(&self, place: usize) -> usize {
-        self.numbers[place]
+    /// The dataset in a slot.
+    pub(crate) fn dataset(&self, slot: usize) -> &Dataset {
+        &self.datasets[self.slots[slot]]
+    }
+
+    /// What a search reads first of the dataset in a slot.
+    pub(crate) fn leaf(&self, slot: usize) -> &Leaf {
+        self.leaves.get(slot)
+    }
+
+    /// Asks memory for that: [`Bvh::fetch`].
+    pub(crate) fn fetch(&self, slot: usize) {
+        if let Leaf { root: Some(Node { entry, volume, texel_m }), number, .. } = self.leaf(slot) {
+            // One in each line of a processor's cache.
+            let bounds = volume.bounds();
+            black_box((entry.bound, bounds.center.x, bounds.half.z, *texel_m, *number));
+        }
     }
 
     /// Where the dataset of a number stands.
     pub(crate) fn place(&self, number: usize) -> Option<usize> {
-        self.numbers.binary_search(&number).ok()
+        self.infos.place(number)
     }
 
     /// The boxes around the datasets that one of two scenes has and the other, a later one, has not, or
@@ -200,11 +234,12 @@ impl Scene {
     ) -> Option<impl Iterator<Item = Aabb> + 'a> {
         let lacks = |one: &'a Self, other: &'a Self| {
             let mut next = 0;
-            let numbers = one.numbers.iter().enumerate().filter(move |&(_, number)| {
-                while other.numbers.get(next).is_some_and(|there| there < number) {
+            let (numbers, others) = (one.infos.numbers(), other.infos.numbers());
+            let numbers = numbers.iter().enumerate().filter(move |&(_, number)| {
+                while others.get(next).is_some_and(|there| there < number) {
                     next += 1;
                 }
-                other.numbers.get(next) != Some(number)
+                others.get(next) != Some(number)
             });
             numbers.map(|(place, _)| one.datasets[place].bounds())
         };
@@ -220,18 +255,14 @@ impl Scene {
     /// elsewhere.
     pub(crate) fn newcomers(&self, before: &Self) -> Option<Vec<usize>> {
         // Numbers ascend, and those that are given later are greater.
-        let first = self.numbers.partition_point(|&number| number < before.next as usize);
-        (self.heights == before.heights).then(|| (first..self.numbers.len()).collect())
+        let numbers = self.infos.numbers();
+        let first = numbers.partition_point(|&number| number < before.next as usize);
+        (self.heights == before.heights).then(|| (first..numbers.len()).collect())
     }
 
     /// All datasets, in the order of their numbers.
     pub(crate) fn all(&self) -> impl Iterator<Item = &DatasetInfo> {
         self.datasets.iter().map(|dataset| dataset.info.as_ref())
-    }
-
-    /// What there is to say of all datasets.
-    pub(crate) fn infos(&self) -> Datasets {
-        self.datasets.iter().map(|dataset| (dataset.number, Arc::clone(&dataset.info))).collect()
     }
 
     /// The radii of a sphere below all terrain whose heights are taken so many times, and of one around it.
@@ -256,6 +287,40 @@ impl Node {
     }
 }
 
+impl Leaf {
+    fn of(dataset: &Dataset) -> Self {
+        let root = match dataset.roots.as_slice() {
+            [root] => Some(*root),
+            _ => None,
+        };
+        let Dataset { number, kind, texels, .. } = *dataset;
+        Self { root, number, kind, texels }
+    }
+
+    /// Bytes of a decoded page.
+    pub(crate) fn page_bytes(&self, entry: &PageEntry) -> usize {
+        page_bytes(self.kind, self.texels, entry)
+    }
+}
+
+impl Leaves {
+    /// Leaves in a block: few enough to be copied for one of them.
+    const BLOCK: usize = 64;
+
+    fn get(&self, slot: usize) -> &Leaf {
+        &self.0[slot / Self::BLOCK][slot % Self::BLOCK]
+    }
+
+    /// Of any slot up to the next one.
+    fn set(&mut self, slot: usize, leaf: Leaf) {
+        let (block, place) = (slot / Self::BLOCK, slot % Self::BLOCK);
+        if block == self.0.len() {
+            self.0.push([leaf; Self::BLOCK].into());
+        }
+        Arc::make_mut(&mut self.0[block])[place] = leaf;
+    }
+}
+
 impl Dataset {
     fn new(
         number: usize,
@@ -275,20 +340,11 @@ impl Dataset {
             kind,
             finest,
             texels: side * side,
-            roots: SmallVec::new(),
+            roots: Vec::new(),
             heights,
         };
         dataset.roots = roots.into_iter().map(|entry| dataset.node(entry, 1.0)).collect();
         dataset
-    }
-
-    /// Asks memory for what a search looks at in a root: [`Bvh::fetch`].
-    pub(crate) fn fetch(&self) {
-        if let Some(Node { entry, volume, texel_m }) = self.roots.first() {
-            // One in each line of a processor's cache.
-            let bounds = volume.bounds();
-            black_box((entry.bound, bounds.center.x, bounds.half.z, *texel_m, self.texels));
-        }
     }
 
     /// The same on another terrain.
@@ -325,11 +381,7 @@ impl Dataset {
 
     /// Bytes of a decoded page.
     pub(crate) fn page_bytes(&self, entry: &PageEntry) -> usize {
-        let per_texel = match self.kind {
-            Kind::Height => size_of::<f32>(),
-            Kind::Color | Kind::Normal => 3,
-        };
-        self.texels * (per_texel + usize::from(!entry.full))
+        page_bytes(self.kind, self.texels, entry)
     }
 
     /// The most that loading a page takes of so many stored bytes: those, and texels with a coverage
@@ -364,6 +416,15 @@ impl Dataset {
         }
         Some(children)
     }
+}
+
+/// Bytes of a decoded page of so many texels.
+fn page_bytes(kind: Kind, texels: usize, entry: &PageEntry) -> usize {
+    let per_texel = match kind {
+        Kind::Height => size_of::<f32>(),
+        Kind::Color | Kind::Normal => 3,
+    };
+    texels * (per_texel + usize::from(!entry.full))
 }
 
 /// The largest ground size of a texel at the corners and in the middle of a page.

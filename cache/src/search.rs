@@ -33,7 +33,7 @@ use smallvec::SmallVec;
 
 use crate::found::{Candidate, Found, Glance, Root, Seen, Step};
 use crate::memo::{Memo, Verdict};
-use crate::scene::{Node, Scene};
+use crate::scene::{Leaf, Node, Scene};
 use crate::selection::DatasetInfo;
 use crate::view::{Lens, Sight, View};
 
@@ -101,23 +101,19 @@ pub(crate) fn search(scene: &Scene, memo: &mut Memo, wish: Wish<'_>, found: &mut
 
     if let Some(Only { places, tolerance_px }) = only {
         found.tolerance_px = found.tolerance_px.max(tolerance_px);
-        places.iter().for_each(|&place| search.open(place, memo, found));
+        let slots = places.iter().map(|&place| scene.datasets[place].slot as usize);
+        slots.for_each(|slot| search.open(slot, memo, found));
     } else if let Some(trunk) = scene.tree.trunk() {
-        search.climb(&[trunk], memo, found);
+        found.visited = 1;
+        found.heap.push(Candidate::new(f64::INFINITY, trunk, Step::Climb));
     }
     let (mut bytes, mut is_full) = (0, false);
     while let Some(candidate) = found.heap.pop() {
         let (pixels, place) = (candidate.pixels(), candidate.place());
         match candidate.step() {
-            Step::Climb => search.take_apart(place, memo, found),
+            step @ (Step::Climb | Step::Sweep) => search.take_apart((place, step), memo, found),
             Step::Draw => {
-                let Root { dataset, number, .. } = found.roots[place];
-                let dataset = &scene.datasets[dataset];
-                let more = dataset.page_bytes(&dataset.roots[number].entry);
-                if bytes + more <= allowance {
-                    bytes += more;
-                    search.draw(place, memo, found);
-                } else {
+                if !search.draw(place, (&mut bytes, allowance), memo, found) {
                     found.tolerance_px = found.tolerance_px.max(pixels);
                     // What would come after is smaller yet.
                     found.heap.retain(|candidate| candidate.step() == Step::Refine);
@@ -160,6 +156,9 @@ impl Search<'_> {
     /// How often the sides of the last parts are halved for that.
     const HALVINGS: u32 = 3;
 
+    /// How many more levels of the tree are passed where all is in sight: there is nothing to be left out.
+    const SWEPT: usize = 2;
+
     /// Pixels to a texel, to a pixel of tolerance, up to which a page of colors shows where a pixel's
     /// footprint is round: its children begin to show at 1.
     const WIDEST_TEXEL: f64 = 2.0;
@@ -170,62 +169,91 @@ impl Search<'_> {
     const LEAST_SHARP: f64 = 8.0;
 
     /// Puts branches of the tree over the datasets among what is to come, by the largest that one of
-    /// their datasets can be on the screen; opens those that are a dataset.
-    fn climb(&self, branches: &[usize], memo: &mut Memo, found: &mut Found) {
-        let Scene { tree, slots, datasets, .. } = self.scene;
+    /// their datasets can be on the screen, and the slots of those that are a dataset among `items`. What
+    /// is `whole` is known to be in sight.
+    fn climb(&self, branches: &[usize], whole: bool, items: &mut Vec<usize>, found: &mut Found) {
+        let tree = &self.scene.tree;
         branches.iter().for_each(|&branch| tree.fetch(branch));
         found.visited += branches.len();
-        let mut items = SmallVec::<[usize; 2 * BUNCH]>::new();
         for &branch in branches {
             let Branch { bounds, largest_m, parts } = tree.branch(branch);
             let bounds = bounds.grown(self.shift_m);
-            match parts {
-                Parts::Item(slot) => {
-                    if self.lenses.iter().any(|lens| !lens.misses_box(&bounds)) {
-                        items.push(slots[slot as usize]);
+            if let Parts::Item(slot) = parts {
+                if whole || self.lenses.iter().any(|lens| !lens.misses_box(&bounds)) {
+                    items.push(slot as usize);
+                }
+                continue;
+            }
+            let mut step = if whole { Step::Sweep } else { Step::Climb };
+            let sights = self.lenses.iter().map(|lens| {
+                if !whole {
+                    match lens.position_of_box(&bounds) {
+                        Position::Outside => return Sight::NONE,
+                        Position::Within => step = Step::Sweep,
+                        Position::Across => {}
                     }
                 }
-                Parts::Branches(_) => {
-                    let sights = self.lenses.iter().map(|lens| {
-                        let is_missed = lens.misses_box(&bounds);
-                        if is_missed { Sight::NONE } else { lens.sight_of_box(&bounds) }
-                    });
-                    let pixels = self.worst(largest_m + 2.0 * self.shift_m, sights);
-                    if pixels >= Lens::SMALLEST_PX {
-                        found.heap.push(Candidate::new(pixels, branch, Step::Climb));
-                    }
-                }
+                lens.sight_of_box(&bounds)
+            });
+            let pixels = self.worst(largest_m + 2.0 * self.shift_m, sights);
+            if pixels >= Lens::SMALLEST_PX {
+                found.heap.push(Candidate::new(pixels, branch, step));
             }
         }
-        items.iter().for_each(|&dataset| datasets[dataset].fetch());
-        items.iter().for_each(|&dataset| self.open(dataset, memo, found));
     }
 
-    /// Takes a branch of the tree apart, and those with it that would be next, but for its parts.
-    fn take_apart(&self, branch: usize, memo: &mut Memo, found: &mut Found) {
+    /// Takes a branch of the tree apart, and those with it that would be next, but for its parts; one that
+    /// is wholly in sight at once into the parts of its parts' parts, of which all are.
+    fn take_apart(&self, branch: (usize, Step), memo: &mut Memo, found: &mut Found) {
+        let tree = &self.scene.tree;
         let mut children = SmallVec::<[usize; 2 * BUNCH]>::new();
+        let [mut whole, mut items] = std::mem::take(&mut found.room);
         let mut next = Some(branch);
-        while let Some(branch) = next {
-            if let Parts::Branches(parts) = self.scene.tree.branch(branch).parts {
-                children.extend(parts);
+        while let Some((branch, step)) = next {
+            match tree.branch(branch).parts {
+                Parts::Item(slot) => items.push(slot as usize),
+                Parts::Branches(parts) if step == Step::Sweep => whole.extend(parts),
+                Parts::Branches(parts) => children.extend(parts),
             }
-            let is_full = children.len() == 2 * BUNCH;
+            let is_full = children.len() + whole.len() == 2 * BUNCH;
             let first = found.heap.peek_mut();
-            let first = first.filter(|first| !is_full && first.step() == Step::Climb);
-            next = first.map(|first| PeekMut::pop(first).place());
+            let first = first.filter(|first| !is_full && first.step() >= Step::Climb);
+            next = first.map(|first| {
+                let first = PeekMut::pop(first);
+                (first.place(), first.step())
+            });
         }
-        self.climb(&children, memo, found);
+        let mut passed = 0;
+        for _ in 0..Self::SWEPT {
+            let level = passed..whole.len();
+            whole[level.clone()].iter().for_each(|&branch| tree.fetch(branch));
+            passed = level.end;
+            for place in level {
+                match tree.branch(whole[place]).parts {
+                    Parts::Item(slot) => items.push(slot as usize),
+                    Parts::Branches(parts) => whole.extend(parts),
+                }
+            }
+        }
+        found.visited += passed;
+        self.climb(&children, false, &mut items, found);
+        self.climb(&whole[passed..], true, &mut items, found);
+        items.iter().for_each(|&slot| self.scene.fetch(slot));
+        items.iter().for_each(|&slot| self.open(slot, memo, found));
+        [&mut whole, &mut items].into_iter().for_each(Vec::clear);
+        found.room = [whole, items];
     }
 
-    /// Looks at the roots of a dataset.
-    fn open(&self, dataset: usize, memo: &mut Memo, found: &mut Found) {
-        if self.hidden.hides(|| &self.scene.datasets[dataset].info) {
+    /// Looks at the roots of the dataset in a slot.
+    fn open(&self, slot: usize, memo: &mut Memo, found: &mut Found) {
+        if self.hidden.hides(|| &self.scene.dataset(slot).info) {
             return;
         }
+        let leaf = self.scene.leaf(slot);
         let mut sights = std::mem::take(&mut found.root_sights);
-        for (number, node) in memo.roots(&self.scene.datasets[dataset]).iter().enumerate() {
+        for (number, node) in self.roots(slot, leaf, memo).iter().enumerate() {
             let mark = sights.len();
-            let Some(glance) = self.look_at(dataset, node, None, &mut sights, found) else {
+            let Some(glance) = self.look_at(leaf.kind, node, None, &mut sights, found) else {
                 continue;
             };
             // Nearer than its own size, it is as large as can be.
@@ -236,20 +264,41 @@ impl Search<'_> {
             }
             let (pixels, place) = (size.max(glance.pixels), found.roots.len());
             found.heap.push(Candidate::new(pixels, place, Step::Draw));
-            found.roots.push(Root { dataset, number, glance });
+            found.roots.push(Root { slot, place: number, glance });
         }
         found.root_sights = sights;
     }
 
-    /// Takes a root in.
-    fn draw(&self, place: usize, memo: &mut Memo, found: &mut Found) {
-        let Root { dataset, number, glance } = found.roots[place];
-        let node = &memo.roots(&self.scene.datasets[dataset])[number];
+    /// The roots of the dataset in a slot.
+    fn roots<'a>(&'a self, slot: usize, leaf: &'a Leaf, memo: &'a mut Memo) -> &'a [Node] {
+        match &leaf.root {
+            Some(root) if self.exaggeration == 1.0 => std::slice::from_ref(root),
+            _ => memo.roots(self.scene.dataset(slot)),
+        }
+    }
+
+    /// Takes a root in, if there is room for it; whether there was.
+    fn draw(
+        &self,
+        place: usize,
+        (bytes, allowance): (&mut usize, usize),
+        memo: &mut Memo,
+        found: &mut Found,
+    ) -> bool {
+        let Root { slot, place: number, glance } = found.roots[place];
+        let leaf = self.scene.leaf(slot);
+        let node = &self.roots(slot, leaf, memo)[number];
+        let more = leaf.page_bytes(&node.entry);
+        if *bytes + more > allowance {
+            return false;
+        }
+        *bytes += more;
         let views = self.lenses.len();
         let (place, sights) = (found.seen.len(), place * views..(place + 1) * views);
         found.sights.extend_from_slice(&found.root_sights[sights]);
-        found.seen.push(glance.seen(dataset, node, None));
+        found.seen.push(glance.seen((self.scene.slots[slot], leaf.number), node, None));
         found.take_in(place);
+        true
     }
 
     /// Puts a page's children in its place, if they are known and there is room for them.
@@ -262,7 +311,7 @@ impl Search<'_> {
     ) {
         let parent = found.seen[place];
         let dataset = &self.scene.datasets[parent.dataset];
-        let page = parent.node.entry.page;
+        let page = parent.entry.page;
         if page.level == dataset.finest {
             found.wanted.push(place);
             return;
@@ -278,15 +327,19 @@ impl Search<'_> {
         }
         let (first, first_sight) = (found.seen.len(), found.sights.len());
         let mut sights = std::mem::take(&mut found.sights);
-        let (mut more, mut sharper) = (0, 0.0_f64);
+        let (mut more, mut sharper, mut least) = (0, 0.0_f64, f64::INFINITY);
         for node in nodes {
             let mark = sights.len();
-            let glance = self.look_at(parent.dataset, node, Some(place), &mut sights, found);
+            let glance = self.look_at(dataset.kind, node, Some(place), &mut sights, found);
             if let Some(glance) = glance {
                 let here = sights[mark..].iter().copied();
                 sharper = sharper.max(self.worst(parent.error_m, here));
                 more += dataset.page_bytes(&node.entry);
-                found.seen.push(glance.seen(parent.dataset, node, Some(place)));
+                if self.blends {
+                    least = least.min(self.least(&parent, dataset.kind, node, &sights[mark..]));
+                }
+                let name = (parent.dataset, parent.number);
+                found.seen.push(glance.seen(name, node, Some(place)));
             }
         }
         found.sights = sights;
@@ -319,15 +372,13 @@ impl Search<'_> {
         }
         *bytes += more;
         if self.blends {
-            let least = self.least(&parent, dataset.kind, first, found);
             found.refined.push((place, least));
         }
         (first..found.seen.len()).for_each(|place| found.take_in(place));
     }
 
-    /// The least error of a page where its children, from `first` on in `seen`, are seen, over the
-    /// largest with which it still shows.
-    fn least(&self, parent: &Seen, kind: Kind, first: usize, found: &Found) -> f64 {
+    /// The least error of a page where a child of it is seen, over the largest with which it still shows.
+    fn least(&self, parent: &Seen, kind: Kind, child: &Node, sights: &[Sight]) -> f64 {
         let widest = |view: &View, length: f64| match kind {
             Kind::Height => View::BLENDED,
             Kind::Color | Kind::Normal => {
@@ -337,19 +388,15 @@ impl Search<'_> {
                 Self::WIDEST_TEXEL * pixel * stretch
             }
         };
-        let mut least = f64::INFINITY;
-        for (place, child) in found.seen.iter().enumerate().skip(first) {
-            for (number, (lens, view)) in self.lenses.iter().zip(self.views).enumerate() {
-                if found.sights[place * self.lenses.len() + number].is_seen() {
-                    let scale = self.views[0].tolerance_px / view.tolerance_px;
-                    let reach = lens.farthest(&child.node.volume);
-                    let length = lens.footprint_length(&child.node.volume, reach);
-                    let pixels = lens.pixels(parent.error_m, reach) * scale;
-                    least = least.min(pixels / widest(view, length));
-                }
-            }
-        }
-        least
+        let all = self.lenses.iter().zip(self.views).zip(sights);
+        let seen = all.filter(|(_, sight)| sight.is_seen());
+        let least = seen.map(|((lens, view), _)| {
+            let scale = self.views[0].tolerance_px / view.tolerance_px;
+            let reach = lens.farthest(&child.volume);
+            let length = lens.footprint_length(&child.volume, reach);
+            lens.pixels(parent.error_m, reach) * scale / widest(view, length)
+        });
+        least.fold(f64::INFINITY, f64::min)
     }
 
     /// Drops wanted pages of which no part is in sight: at the rim of the picture, a box reaches around
@@ -358,16 +405,18 @@ impl Search<'_> {
     fn drop_unseen(&self, memo: &mut Memo, found: &mut Found) {
         let Found { wanted, seen, sights, visited, culled, .. } = found;
         wanted.retain(|&place| {
-            let Seen { dataset, node, .. } = seen[place];
-            let dataset = &self.scene.datasets[dataset];
-            let page = node.entry.page;
+            let Seen { dataset, entry, middle, .. } = &seen[place];
             let views = place * self.lenses.len()..(place + 1) * self.lenses.len();
-            if page.level == dataset.finest || sights[views].iter().any(|sight| sight.is_whole) {
+            if sights[views].iter().any(|sight| sight.is_whole) {
                 return true;
             }
             // Mostly its own middle tells, for which no part has to be fetched. Its box is not flat: some pages
             // stay that could go.
-            if self.lenses.iter().any(|lens| lens.shows(node.volume.bounds().center)) {
+            if self.lenses.iter().any(|lens| lens.shows(*middle)) {
+                return true;
+            }
+            let (dataset, page) = (&self.scene.datasets[*dataset], entry.page);
+            if page.level == dataset.finest {
                 return true;
             }
             let unseen =
@@ -432,7 +481,7 @@ impl Search<'_> {
     /// A page as it is seen, one sight for each view; or `None`, and none, if it is not.
     fn look_at(
         &self,
-        dataset: usize,
+        kind: Kind,
         node: &Node,
         parent: Option<usize>,
         sights: &mut Vec<Sight>,
@@ -443,7 +492,7 @@ impl Search<'_> {
         let views = self.lenses.len();
         let mut texel_m = node.texel_m;
         if let Some(place) = parent {
-            texel_m = texel_m.min(found.seen[place].node.texel_m);
+            texel_m = texel_m.min(found.seen[place].texel_m);
         }
         let mut nearest = f64::INFINITY;
         for (number, lens) in self.lenses.iter().enumerate() {
@@ -463,7 +512,7 @@ impl Search<'_> {
             return None;
         }
         let bound = f64::from(node.entry.bound);
-        let error_m = match self.scene.datasets[dataset].kind {
+        let error_m = match kind {
             // Of flattened terrain, heights are still told.
             Kind::Height => self.exaggeration.max(1.0) * bound,
             // Less than half a code is not seen.

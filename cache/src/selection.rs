@@ -41,43 +41,59 @@ impl DatasetInfo {
 /// as the cache lives, and no other ever has it.
 #[derive(Clone, Debug, Default)]
 pub struct Datasets {
+    numbers: Arc<[usize]>,
+    /// By number: these, and maybe others.
     listed: Arc<[(usize, Arc<DatasetInfo>)]>,
 }
 
 impl Datasets {
+    /// Those of these that have one of some numbers, which ascend.
+    pub(crate) fn some(&self, numbers: &[usize]) -> Self {
+        Self { numbers: numbers.into(), listed: Arc::clone(&self.listed) }
+    }
+
     /// The dataset of a number, if it is among these.
     #[must_use]
     pub fn get(&self, number: usize) -> Option<&DatasetInfo> {
-        self.place(number).map(|place| self.listed[place].1.as_ref())
+        self.place(number).and_then(|_| self.listed(number))
     }
 
     /// Where the dataset of a number stands among these.
     #[must_use]
     pub fn place(&self, number: usize) -> Option<usize> {
-        self.listed.binary_search_by_key(&number, |(number, _)| *number).ok()
+        self.numbers.binary_search(&number).ok()
     }
 
     /// How many there are.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.listed.len()
+        self.numbers.len()
     }
 
     /// Whether there are none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.listed.is_empty()
+        self.numbers.is_empty()
     }
 
     /// All of them, with their numbers.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = (usize, &DatasetInfo)> + Clone {
-        self.listed.iter().map(|(number, info)| (*number, info.as_ref()))
+        self.numbers.iter().filter_map(|&number| Some((number, self.listed(number)?)))
     }
 
     /// Whether both are the one list: a cheap test that nothing has changed.
     #[must_use]
     pub fn is(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.listed, &other.listed)
+        Arc::ptr_eq(&self.numbers, &other.numbers)
+    }
+
+    pub(crate) fn numbers(&self) -> &[usize] {
+        &self.numbers
+    }
+
+    fn listed(&self, number: usize) -> Option<&DatasetInfo> {
+        let place = self.listed.binary_search_by_key(&number, |(number, _)| *number).ok()?;
+        Some(self.listed[place].1.as_ref())
     }
 }
 
@@ -86,7 +102,8 @@ impl FromIterator<(usize, Arc<DatasetInfo>)> for Datasets {
         let mut listed: Vec<_> = datasets.into_iter().collect();
         listed.sort_by_key(|(number, _)| *number);
         listed.dedup_by_key(|(number, _)| *number);
-        Self { listed: listed.into() }
+        let numbers = listed.iter().map(|(number, _)| *number).collect();
+        Self { numbers, listed: listed.into() }
     }
 }
 

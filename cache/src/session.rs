@@ -5,13 +5,13 @@ use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
 
 use areoid_formats::bounds::Aabb;
-use rustc_hash::FxHashSet;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
 use crate::coming::{Coming, Showing};
 use crate::engine::{ADOPT_WITHIN, Engine};
 use crate::found::Found;
+use crate::held::Held;
 use crate::lookout::Task;
 use crate::matching::{Match, Matcher};
 use crate::memo::Memo;
@@ -19,7 +19,7 @@ use crate::motion::Motion;
 use crate::scene::Scene;
 use crate::search::{Hidden, Wish, search};
 use crate::selection::{DatasetInfo, Datasets, ResidentPage, Selection};
-use crate::store::{PageName, Request, Store};
+use crate::store::{Request, Store};
 use crate::view::{Lens, View};
 
 /// A rendering context's way into the cache.
@@ -59,8 +59,7 @@ pub struct Session {
     /// Whether [`Selection::beneath`] is asked for: mostly a third more pages. Not so at first.
     pub blends: bool,
     last: Arc<Selection>,
-    /// What the last views wanted, and room for the next.
-    wanted: [FxHashSet<PageName>; 2],
+    held: Held,
     /// Room for the numbers of datasets.
     numbers: Vec<usize>,
     news: watch::Receiver<u64>,
@@ -123,7 +122,7 @@ impl Session {
             look_ahead: true,
             blends: false,
             last,
-            wanted: [FxHashSet::default(), FxHashSet::default()],
+            held: Held::default(),
             numbers: Vec::new(),
             news,
             budget_bytes,
@@ -315,7 +314,7 @@ impl Session {
         if let Some(next) = self.next.as_ref().filter(|_| self.is_trial) {
             let Showing { scene, found } = &next.showing;
             let mut requests = Vec::new();
-            let after = self.matcher.compare(scene, found, &mut store, &mut requests);
+            let after = self.matcher.compare(scene, found, &self.held, &mut store, &mut requests);
             // In a view that has hardly moved, the picture lacks what it lacked a frame ago.
             let ground_m = self.ground_m(scene);
             let is_steady = self.motions.iter().all(|motion| motion.is_steady(ground_m));
@@ -333,7 +332,7 @@ impl Session {
         }
         let mut requests = Vec::new();
         let Showing { scene, found } = &self.shown;
-        let matched = self.matcher.compare(scene, found, &mut store, &mut requests);
+        let matched = self.matcher.compare(scene, found, &self.held, &mut store, &mut requests);
         match (trial, &mut self.next) {
             (Some((after, others)), _) if after.missing <= matched.missing => {
                 self.adopt();
@@ -371,7 +370,10 @@ impl Session {
         stats.misses += missing as u64;
         store.pin_roots(self.number, &mut pinned);
         store.replace_requests(self.number, requests);
-        self.count_first(store);
+        let found = &self.shown.found;
+        let wanted = found.wanted.iter().chain(&found.beneath);
+        let wanted = wanted.map(|&place| found.seen[place].name());
+        self.held.renew(pages.iter().chain(&beneath), wanted, store);
         if missing == 0 && self.next.is_none() && self.look_ahead {
             self.look_ahead(store, now);
         }
@@ -393,13 +395,10 @@ impl Session {
         self.numbers.sort_unstable();
         self.numbers.dedup();
         // A number stands for one dataset for good.
-        let numbers = self.numbers.iter().copied();
-        let datasets = if before.datasets.iter().map(|(number, _)| number).eq(numbers.clone()) {
+        let datasets = if before.datasets.numbers() == self.numbers {
             before.datasets.clone()
         } else {
-            let places = numbers.filter_map(|number| scene.place(number));
-            let datasets = places.map(|place| &scene.datasets[place]);
-            datasets.map(|dataset| (dataset.number, Arc::clone(&dataset.info))).collect()
+            scene.infos.some(&self.numbers)
         };
         let same = same_pages && before.datasets.is(&datasets);
         self.last = Arc::new(Selection {
@@ -417,21 +416,6 @@ impl Session {
             wanted: found.wanted.len(),
             culled: found.culled,
         });
-    }
-
-    /// Counts what is wanted now and was not before.
-    fn count_first(&mut self, store: &mut Store) {
-        let Showing { scene, found } = &self.shown;
-        let [before, now] = &mut self.wanted;
-        now.clear();
-        for &place in found.wanted.iter().chain(&found.beneath) {
-            let name = found.seen[place].name(scene);
-            if now.insert(name) && !before.contains(&name) {
-                store.stats.first_wanted += 1;
-                store.stats.first_resident += u64::from(store.holds(name));
-            }
-        }
-        self.wanted.swap(0, 1);
     }
 
     /// Has it looked where the view will be in a moment, for what it will need there; or, more rarely, where

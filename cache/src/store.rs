@@ -13,7 +13,6 @@
 //! short, sessions take turns, and what is only expected to be needed waits for all of them.
 
 use std::collections::{BTreeMap, HashSet, VecDeque};
-use std::hint::black_box;
 use std::num::NonZeroUsize;
 use std::ops::Bound;
 use std::sync::Arc;
@@ -179,13 +178,6 @@ impl Store {
             self.ahead_bytes -= slot.page.page.bytes();
         }
         Some(Arc::clone(&slot.page))
-    }
-
-    /// Asks memory for where a page is, for [`Self::touch`]: `Bvh::fetch`.
-    pub(crate) fn fetch(&self, name: PageName) {
-        if let Some(Slot { page, ahead, .. }) = self.slots.peek(&name) {
-            black_box((*ahead, page.dataset, page.entry.page));
-        }
     }
 
     /// Whether the page is in memory, which uses it in no way.

@@ -7,6 +7,7 @@ mod culling;
 mod failing;
 mod faulty;
 mod frames;
+mod held;
 mod loading;
 mod models;
 mod opening;

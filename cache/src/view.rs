@@ -223,6 +223,17 @@ impl Lens {
         })
     }
 
+    /// Where a box around terrain lies: outside if it is out of sight, within if all of it is in the picture and
+    /// not behind the limb of what the body hides.
+    pub(crate) fn position_of_box(&self, bounds: &Aabb) -> Position {
+        match bounds.position_in(self.before.as_slice()) {
+            Position::Outside => Position::Outside,
+            Position::Across if bounds.outside(&self.frustum) => Position::Outside,
+            Position::Across => Position::Across,
+            Position::Within => bounds.position_in(&self.frustum),
+        }
+    }
+
     /// Whether a box around terrain is out of sight.
     pub(crate) fn misses_box(&self, bounds: &Aabb) -> bool {
         bounds.outside(self.before.as_slice()) || bounds.outside(&self.frustum)

@@ -107,6 +107,23 @@ impl Aabb {
         (direction * self.least()).max(direction * self.greatest()).element_sum()
     }
 
+    /// Where the box lies, relative to half spaces; within them if there is none.
+    #[must_use]
+    pub fn position_in(&self, frustum: &[HalfSpace]) -> Position {
+        let mut position = Position::Within;
+        for side in frustum {
+            if self.farthest_along(side.normal) < side.offset {
+                return Position::Outside;
+            }
+            // What is no number is across.
+            let is_within = -self.farthest_along(-side.normal) >= side.offset;
+            if !is_within {
+                position = Position::Across;
+            }
+        }
+        position
+    }
+
     /// Whether the box lies wholly outside one of the half spaces.
     #[must_use]
     pub fn outside(&self, frustum: &[HalfSpace]) -> bool {
@@ -261,6 +278,8 @@ mod tests {
             let (center, half) = (DVec3::splat(center), DVec3::splat(half));
             let volume = OrientedBox { center, axes: DMat3::IDENTITY, half };
             assert_eq!(volume.position_in(&[side]), Position::Across);
+            let box_of_none = Aabb::new(center - half, center + half);
+            assert_eq!(box_of_none.position_in(&[side]), Position::Across);
         }
     }
 
@@ -283,6 +302,26 @@ mod tests {
             prop_assert!((volume.farthest_along(direction) - farthest).abs() < 1e-9);
             let side = HalfSpace::through(eye, direction);
             prop_assert_eq!(aabb.outside(&[side]), aabb.farthest_along(direction) < side.offset);
+            let [min, max] = [aabb.min, aabb.max];
+            let depths = (0..8).map(|corner| {
+                let at = |axis: usize| if corner >> axis & 1 == 0 { min[axis] } else { max[axis] };
+                direction.dot(DVec3::new(at(0), at(1), at(2))) - side.offset
+            });
+            let (least, most) =
+                depths.fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), depth| {
+                    (least.min(depth), most.max(depth))
+                });
+            // Nearer to the plane than that, rounding tells.
+            if least.abs().min(most.abs()) > 1e-9 {
+                let expected = match (least > 0.0, most < 0.0) {
+                    (true, _) => Position::Within,
+                    (_, true) => Position::Outside,
+                    _ => Position::Across,
+                };
+                prop_assert_eq!(aabb.position_in(&[side]), expected);
+                let both = [HalfSpace::through(eye, DVec3::ZERO), side];
+                prop_assert_eq!(aabb.position_in(&both), expected);
+            }
         }
 
         #[test]

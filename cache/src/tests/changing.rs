@@ -267,15 +267,27 @@ fn the_tree_over_datasets_follows_all_changes() {
         let mut info = made.info.clone();
         info.name = format!("{}-{}", info.name, round % 7);
         let newcomer = newcomer(info.clone(), Arc::clone(&made.archive) as _).unwrap();
-        scene = scene.changed(|other| other.name == info.name, [newcomer]);
-        assert_eq!(scene.tree.len(), scene.datasets.len());
-        assert!(scene.datasets.is_sorted_by_key(|dataset| dataset.number));
-        for (place, dataset) in scene.datasets.iter().enumerate() {
-            assert_eq!(scene.place(dataset.number), Some(place));
-            let bounds = scene.tree.get(dataset.slot).unwrap();
-            assert!(dataset.roots.iter().all(|root| bounds.contains(&root.volume.aabb())));
-            assert_eq!(scene.slots[dataset.slot as usize], place);
+        let next = scene.changed(|other| other.name == info.name, [newcomer]);
+        // The one before stays what it was.
+        for scene in [&next, &scene] {
+            assert_eq!(scene.tree.len(), scene.datasets.len());
+            assert!(scene.datasets.is_sorted_by_key(|dataset| dataset.number));
+            for (place, dataset) in scene.datasets.iter().enumerate() {
+                assert_eq!(scene.place(dataset.number), Some(place));
+                let bounds = scene.tree.get(dataset.slot).unwrap();
+                assert!(dataset.roots.iter().all(|root| bounds.contains(&root.volume.aabb())));
+                let slot = dataset.slot as usize;
+                assert_eq!(scene.slots[slot], place);
+                let leaf = scene.leaf(slot);
+                assert_eq!((leaf.number, leaf.kind), (dataset.number, dataset.kind));
+                let only = match dataset.roots.as_slice() {
+                    [root] => Some((root.entry.page, root.volume)),
+                    _ => None,
+                };
+                assert_eq!(leaf.root.map(|root| (root.entry.page, root.volume)), only);
+            }
         }
+        scene = next;
     }
     assert_eq!(scene.generation, 300);
     assert!(scene.datasets.len() <= 14 && scene.slots.len() <= 14);

@@ -12,8 +12,7 @@ use areoid_formats::bvh::Bvh;
 /// The wanted pages, by their datasets' names.
 fn wanted(scene: &Scene, found: &Found) -> BTreeSet<(String, PageAddress)> {
     let seen = found.wanted.iter().map(|&place| found.seen[place]);
-    seen.map(|seen| (scene.datasets[seen.dataset].info.name.clone(), seen.node.entry.page))
-        .collect()
+    seen.map(|seen| (scene.datasets[seen.dataset].info.name.clone(), seen.entry.page)).collect()
 }
 
 /// Small regions side by side, east to west and then north.
