@@ -59,7 +59,7 @@ pub(crate) struct Root {
     /// Its dataset's slot in the scene.
     pub(crate) slot: usize,
     /// Its place among the dataset's roots.
-    pub(crate) place: usize,
+    pub(crate) root: usize,
     pub(crate) glance: Glance,
 }
 
@@ -83,7 +83,7 @@ pub(crate) struct Found {
     pub(crate) root_sights: Vec<Sight>,
     pub(crate) heap: BinaryHeap<Candidate>,
     pub(crate) lenses: Vec<Lens>,
-    /// Room for branches of the tree and places of datasets.
+    /// Room for branches of the tree, and for slots of datasets.
     pub(crate) room: [Vec<usize>; 2],
     /// Pages that gave way to their children, and their least error where they are seen, over the
     /// largest with which they still show.
@@ -106,7 +106,7 @@ pub(crate) enum Step {
     Draw,
     /// `place` is a branch of the tree over the datasets.
     Climb,
-    /// The same, and all of it is in sight.
+    /// The same, and all of it is in sight of one of the views.
     Sweep,
 }
 

@@ -16,7 +16,7 @@ use crate::store::{PageName, Store};
 pub(crate) struct Held {
     pages: FxHashMap<PageName, Hold>,
     /// How many selections there were.
-    now: u32,
+    now: u64,
 }
 
 #[derive(Debug, Default)]
@@ -24,26 +24,28 @@ struct Hold {
     /// `None` if it was wanted, and not there.
     page: Option<Arc<ResidentPage>>,
     /// The last selection that had it, and the last that would have had it.
-    shown: u32,
-    wanted: u32,
+    shown: u64,
+    wanted: u64,
 }
 
 impl Held {
-    /// A page that is held is used in the store, too, once in so many selections: there it stays among those that
-    /// were used of late.
-    const TURNS: usize = 16;
+    /// A page that is held is used in the store, too, once in so many selections. Else those on the screen would be
+    /// the store's oldest, and whoever makes room would have to pass over all of them.
+    const TURNS: u64 = 16;
 
     /// Asks memory for all pages, for [`Self::get`]: `Bvh::fetch`.
     pub(crate) fn fetch(&self) {
         for page in self.pages.values().filter_map(|hold| hold.page.as_ref()) {
-            black_box(page.dataset);
+            // What counts its owners, and what it is called.
+            black_box((Arc::strong_count(page), page.dataset));
         }
     }
 
     /// The page, if it is in memory.
     pub(crate) fn get(&self, name: PageName, store: &mut Store) -> Option<Arc<ResidentPage>> {
         let PageName { dataset, page } = name;
-        let turn = dataset + page.row as usize + page.col as usize + self.now as usize;
+        let turn =
+            (dataset as u64 % Self::TURNS) + u64::from(page.row) + u64::from(page.col) + self.now;
         match self.pages.get(&name) {
             Some(Hold { page: Some(page), .. }) if !turn.is_multiple_of(Self::TURNS) => {
                 Some(Arc::clone(page))
@@ -61,7 +63,7 @@ impl Held {
         store: &mut Store,
     ) {
         let before = self.now;
-        self.now = before.wrapping_add(1);
+        self.now += 1;
         let now = self.now;
         let mut used = 0;
         for page in shown {
@@ -73,15 +75,19 @@ impl Held {
         }
         for name in wanted {
             let hold = self.pages.entry(name).or_default();
-            let is_first = hold.wanted != before || before == 0;
-            used += usize::from(hold.shown != now && hold.wanted != now);
-            hold.wanted = now;
-            if is_first {
+            if hold.wanted == now {
+                continue;
+            }
+            used += usize::from(hold.shown != now);
+            if hold.wanted != before || before == 0 {
                 store.stats.first_wanted += 1;
+                // Nothing that is held leaves the store.
                 let is_there = hold.page.is_some() || store.holds(name);
                 store.stats.first_resident += u64::from(is_there);
             }
+            hold.wanted = now;
         }
+        // What is held is there, and what is there and wanted is shown: where none is left over, none is to be let go.
         if used < self.pages.len() {
             self.pages.retain(|name, hold| {
                 if hold.shown != now && hold.page.take().is_some() {

@@ -20,6 +20,8 @@ pub(crate) struct Match {
     /// Of them, those that would show beneath others.
     pub(crate) missing_beneath: usize,
     pub(crate) failed: Vec<FailedPage>,
+    /// Numbers of the datasets of `pages` and `failed`, and their places in the scene, in any order and again and again.
+    pub(crate) datasets: Vec<(usize, usize)>,
     /// The largest error of `pages`; infinite where there is none for a wanted one.
     pub(crate) error_px: f64,
 }
@@ -109,10 +111,14 @@ impl Matcher {
                     is_shown = true;
                     result.error_px = result.error_px.max(seen.pixels);
                     result.pages.push(page);
+                    result.datasets.push((seen.number, seen.dataset));
                     break;
                 }
                 match store.error(Work::Texels(name)) {
-                    Some(error) if place == wanted => result.failed.push(failure(name, error)),
+                    Some(error) if place == wanted => {
+                        result.failed.push(failure(name, error));
+                        result.datasets.push((seen.number, seen.dataset));
+                    }
                     Some(_) => {}
                     None if is_best => {
                         result.missing += 1;
@@ -142,6 +148,7 @@ impl Matcher {
             }
             if let Some(error) = store.error(Work::Texels(name)) {
                 result.failed.push(failure(name, error));
+                result.datasets.push((name.dataset, found.seen[place].dataset));
             } else {
                 result.missing += 1;
                 result.missing_beneath += 1;
@@ -152,7 +159,10 @@ impl Matcher {
         for &place in &found.unindexed {
             let name = found.seen[place].name();
             match store.error(Work::Children(name)) {
-                Some(error) => result.failed.push(failure(name, error)),
+                Some(error) => {
+                    result.failed.push(failure(name, error));
+                    result.datasets.push((name.dataset, found.seen[place].dataset));
+                }
                 None => {
                     result.missing += 1;
                     self.needs.push((place, Work::Children(name)));
@@ -160,6 +170,7 @@ impl Matcher {
             }
         }
         for pages in [&mut result.pages, &mut result.beneath] {
+            // Their names stand in as many places of memory: each is looked up once.
             pages.sort_by_cached_key(|page| (page.entry.page, page.dataset));
         }
         self.end(scene, found, requests);

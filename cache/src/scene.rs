@@ -84,6 +84,8 @@ pub(crate) struct Leaf {
     texels: usize,
 }
 
+const _: () = assert!(size_of::<Leaf>() == 256);
+
 /// One for each slot, in blocks that a scene shares with the one before.
 #[derive(Clone, Debug, Default)]
 struct Leaves(Vec<Arc<[Leaf]>>);
@@ -234,14 +236,14 @@ impl Scene {
     ) -> Option<impl Iterator<Item = Aabb> + 'a> {
         let lacks = |one: &'a Self, other: &'a Self| {
             let mut next = 0;
-            let (numbers, others) = (one.infos.numbers(), other.infos.numbers());
-            let numbers = numbers.iter().enumerate().filter(move |&(_, number)| {
-                while others.get(next).is_some_and(|there| there < number) {
+            let lacking = one.datasets.iter().filter(move |dataset| {
+                let others = &other.datasets;
+                while others.get(next).is_some_and(|there| there.number < dataset.number) {
                     next += 1;
                 }
-                others.get(next) != Some(number)
+                others.get(next).is_none_or(|there| there.number != dataset.number)
             });
-            numbers.map(|(place, _)| one.datasets[place].bounds())
+            lacking.map(|dataset| dataset.bounds())
         };
         // Mostly it is the next.
         let is_next = other.generation == self.generation + 1;
@@ -255,9 +257,9 @@ impl Scene {
     /// elsewhere.
     pub(crate) fn newcomers(&self, before: &Self) -> Option<Vec<usize>> {
         // Numbers ascend, and those that are given later are greater.
-        let numbers = self.infos.numbers();
-        let first = numbers.partition_point(|&number| number < before.next as usize);
-        (self.heights == before.heights).then(|| (first..numbers.len()).collect())
+        let is_known = |dataset: &Arc<Dataset>| dataset.number < before.next as usize;
+        let first = self.datasets.partition_point(is_known);
+        (self.heights == before.heights).then(|| (first..self.datasets.len()).collect())
     }
 
     /// All datasets, in the order of their numbers.
@@ -276,7 +278,9 @@ impl Scene {
 
     /// How far exaggeration moves any point of the terrain at most.
     pub(crate) fn shift_m(&self, exaggeration: f64) -> f64 {
-        (exaggeration - 1.0).abs() * self.heights[0].abs().max(self.heights[1])
+        // Heights of a broken raster may be infinite.
+        let more = (exaggeration - 1.0).abs();
+        if more == 0.0 { 0.0 } else { more * self.heights[0].abs().max(self.heights[1]) }
     }
 }
 
@@ -311,7 +315,7 @@ impl Leaves {
         &self.0[slot / Self::BLOCK][slot % Self::BLOCK]
     }
 
-    /// Of any slot up to the next one.
+    /// Says what stands in a slot: one that there is, or the first that there is not yet.
     fn set(&mut self, slot: usize, leaf: Leaf) {
         let (block, place) = (slot / Self::BLOCK, slot % Self::BLOCK);
         if block == self.0.len() {

@@ -21,6 +21,8 @@
 //! * `ARCHITECTURE.md`: the error on the screen, and what is out of sight, cheapest first.
 //! * White 2011, chapter 4: the search over a BVH of datasets with a quadtree each.
 
+mod parts;
+
 use std::collections::binary_heap::PeekMut;
 use std::fmt;
 use std::sync::Arc;
@@ -28,7 +30,6 @@ use std::sync::Arc;
 use areoid_formats::bounds::Position;
 use areoid_formats::bvh::{Branch, Parts};
 use areoid_formats::page::Kind;
-use areoid_formats::volume::Volume;
 use smallvec::SmallVec;
 
 use crate::found::{Candidate, Found, Glance, Root, Seen, Step};
@@ -150,13 +151,8 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// How many levels of parts are looked at to see less of a page, or none.
-    const PARTS: u32 = 3;
-
-    /// How often the sides of the last parts are halved for that.
-    const HALVINGS: u32 = 3;
-
-    /// How many more levels of the tree are passed where all is in sight: there is nothing to be left out.
+    /// How many more levels of the tree are passed at once where all is in sight: at most what is smaller than a
+    /// pixel could be left out there.
     const SWEPT: usize = 2;
 
     /// Pixels to a texel, to a pixel of tolerance, up to which a page of colors shows where a pixel's
@@ -170,7 +166,7 @@ impl Search<'_> {
 
     /// Puts branches of the tree over the datasets among what is to come, by the largest that one of
     /// their datasets can be on the screen, and the slots of those that are a dataset among `items`. What
-    /// is `whole` is known to be in sight.
+    /// is `whole` is known to be in sight of one of the views.
     fn climb(&self, branches: &[usize], whole: bool, items: &mut Vec<usize>, found: &mut Found) {
         let tree = &self.scene.tree;
         branches.iter().for_each(|&branch| tree.fetch(branch));
@@ -186,7 +182,8 @@ impl Search<'_> {
             }
             let mut step = if whole { Step::Sweep } else { Step::Climb };
             let sights = self.lenses.iter().map(|lens| {
-                if !whole {
+                // Of several views, what one sees wholly another may not see at all.
+                if !whole || self.lenses.len() > 1 {
                     match lens.position_of_box(&bounds) {
                         Position::Outside => return Sight::NONE,
                         Position::Within => step = Step::Sweep,
@@ -203,7 +200,7 @@ impl Search<'_> {
     }
 
     /// Takes a branch of the tree apart, and those with it that would be next, but for its parts; one that
-    /// is wholly in sight at once into the parts of its parts' parts, of which all are.
+    /// is wholly in sight [`Self::SWEPT`] levels deeper.
     fn take_apart(&self, branch: (usize, Step), memo: &mut Memo, found: &mut Found) {
         let tree = &self.scene.tree;
         let mut children = SmallVec::<[usize; 2 * BUNCH]>::new();
@@ -215,7 +212,7 @@ impl Search<'_> {
                 Parts::Branches(parts) if step == Step::Sweep => whole.extend(parts),
                 Parts::Branches(parts) => children.extend(parts),
             }
-            let is_full = children.len() + whole.len() == 2 * BUNCH;
+            let is_full = children.len() + whole.len() >= 2 * BUNCH;
             let first = found.heap.peek_mut();
             let first = first.filter(|first| !is_full && first.step() >= Step::Climb);
             next = first.map(|first| {
@@ -251,7 +248,7 @@ impl Search<'_> {
         }
         let leaf = self.scene.leaf(slot);
         let mut sights = std::mem::take(&mut found.root_sights);
-        for (number, node) in self.roots(slot, leaf, memo).iter().enumerate() {
+        for (root, node) in self.roots(slot, leaf, memo).iter().enumerate() {
             let mark = sights.len();
             let Some(glance) = self.look_at(leaf.kind, node, None, &mut sights, found) else {
                 continue;
@@ -264,7 +261,7 @@ impl Search<'_> {
             }
             let (pixels, place) = (size.max(glance.pixels), found.roots.len());
             found.heap.push(Candidate::new(pixels, place, Step::Draw));
-            found.roots.push(Root { slot, place: number, glance });
+            found.roots.push(Root { slot, root, glance });
         }
         found.root_sights = sights;
     }
@@ -285,9 +282,9 @@ impl Search<'_> {
         memo: &mut Memo,
         found: &mut Found,
     ) -> bool {
-        let Root { slot, place: number, glance } = found.roots[place];
+        let Root { slot, root, glance } = found.roots[place];
         let leaf = self.scene.leaf(slot);
-        let node = &self.roots(slot, leaf, memo)[number];
+        let node = &self.roots(slot, leaf, memo)[root];
         let more = leaf.page_bytes(&node.entry);
         if *bytes + more > allowance {
             return false;
@@ -338,8 +335,8 @@ impl Search<'_> {
                 if self.blends {
                     least = least.min(self.least(&parent, dataset.kind, node, &sights[mark..]));
                 }
-                let name = (parent.dataset, parent.number);
-                found.seen.push(glance.seen(name, node, Some(place)));
+                let owner = (parent.dataset, parent.number);
+                found.seen.push(glance.seen(owner, node, Some(place)));
             }
         }
         found.sights = sights;
@@ -397,85 +394,6 @@ impl Search<'_> {
             lens.pixels(parent.error_m, reach) * scale / widest(view, length)
         });
         least.fold(f64::INFINITY, f64::min)
-    }
-
-    /// Drops wanted pages of which no part is in sight: at the rim of the picture, a box reaches around
-    /// corners that its parts do not. Children without data say nothing about what the
-    /// page shows there. A part whose middle is in sight ends it: boxes of parts are flat.
-    fn drop_unseen(&self, memo: &mut Memo, found: &mut Found) {
-        let Found { wanted, seen, sights, visited, culled, .. } = found;
-        wanted.retain(|&place| {
-            let Seen { dataset, entry, middle, .. } = &seen[place];
-            let views = place * self.lenses.len()..(place + 1) * self.lenses.len();
-            if sights[views].iter().any(|sight| sight.is_whole) {
-                return true;
-            }
-            // Mostly its own middle tells, for which no part has to be fetched. Its box is not flat: some pages
-            // stay that could go.
-            if self.lenses.iter().any(|lens| lens.shows(*middle)) {
-                return true;
-            }
-            let (dataset, page) = (&self.scene.datasets[*dataset], entry.page);
-            if page.level == dataset.finest {
-                return true;
-            }
-            let unseen =
-                memo.all_parts(dataset, page, (Self::PARTS, true), visited, &|part, is_last| {
-                    let halvings = if is_last { Self::HALVINGS } else { 0 };
-                    if self.lenses.iter().any(|lens| lens.shows(part.volume.bounds().center)) {
-                        Verdict::No
-                    } else if self.is_unseen(&part.volume, halvings) {
-                        Verdict::Yes
-                    } else {
-                        Verdict::Unsure
-                    }
-                });
-            *culled += usize::from(unseen);
-            !unseen
-        });
-    }
-
-    /// Whether a part is out of sight, by itself or quarter by quarter.
-    fn is_unseen(&self, part: &Volume, halvings: u32) -> bool {
-        let mut is_across = false;
-        for lens in self.lenses {
-            match lens.position(part) {
-                Position::Within => return false,
-                Position::Across => is_across = true,
-                Position::Outside => {}
-            }
-        }
-        let is_unseen = |quarter: &Volume| self.is_unseen(quarter, halvings - 1);
-        !is_across || halvings > 0 && part.quarters().iter().all(is_unseen)
-    }
-
-    /// Whether an error is within the tolerance wherever a part is seen.
-    fn is_fine(
-        &self,
-        part: &Volume,
-        (error_m, tolerance_px): (f64, f64),
-        halvings: u32,
-    ) -> Verdict {
-        let sights = self.lenses.iter().map(|lens| lens.sight(part));
-        if self.worst(error_m, sights) <= tolerance_px {
-            return Verdict::Yes;
-        }
-        // Where it is farthest off, in the middle of a picture.
-        let bounds = part.bounds();
-        let farthest = self.lenses.iter().map(|lens| {
-            let distance = lens.eye.distance(bounds.center) + bounds.radius();
-            Sight { distance, reach: distance, is_whole: false }
-        });
-        if self.worst(error_m, farthest) > tolerance_px {
-            return Verdict::No;
-        }
-        let is_fine =
-            |quarter| self.is_fine(&quarter, (error_m, tolerance_px), halvings - 1) == Verdict::Yes;
-        if halvings > 0 && part.quarters().into_iter().all(is_fine) {
-            Verdict::Yes
-        } else {
-            Verdict::Unsure
-        }
     }
 
     /// A page as it is seen, one sight for each view; or `None`, and none, if it is not.

@@ -1,5 +1,6 @@
 //! What a view gets: pages in memory, and how much is still to come.
 
+use std::fmt;
 use std::ops::Index;
 use std::sync::Arc;
 
@@ -39,61 +40,60 @@ impl DatasetInfo {
 
 /// Some of a cache's datasets, in the order of their numbers. A dataset has its number for as long
 /// as the cache lives, and no other ever has it.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Default)]
 pub struct Datasets {
-    numbers: Arc<[usize]>,
-    /// By number: these, and maybe others.
+    /// Their numbers, and where they stand in `listed`.
+    some: Arc<[(usize, usize)]>,
+    /// These, and maybe others: all selections from one state of a cache share its list.
     listed: Arc<[(usize, Arc<DatasetInfo>)]>,
 }
 
 impl Datasets {
-    /// Those of these that have one of some numbers, which ascend.
-    pub(crate) fn some(&self, numbers: &[usize]) -> Self {
-        Self { numbers: numbers.into(), listed: Arc::clone(&self.listed) }
+    /// Those of these that stand at some places, by number and place, ascending.
+    pub(crate) fn some(&self, some: &[(usize, usize)]) -> Self {
+        debug_assert!(some.iter().all(|&(number, place)| self.listed[place].0 == number));
+        Self { some: some.into(), listed: Arc::clone(&self.listed) }
     }
 
     /// The dataset of a number, if it is among these.
     #[must_use]
     pub fn get(&self, number: usize) -> Option<&DatasetInfo> {
-        self.place(number).and_then(|_| self.listed(number))
+        self.place(number).map(|place| self.listed[self.some[place].1].1.as_ref())
     }
 
     /// Where the dataset of a number stands among these.
     #[must_use]
     pub fn place(&self, number: usize) -> Option<usize> {
-        self.numbers.binary_search(&number).ok()
+        self.some.binary_search_by_key(&number, |(number, _)| *number).ok()
     }
 
     /// How many there are.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.numbers.len()
+        self.some.len()
     }
 
     /// Whether there are none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.numbers.is_empty()
+        self.some.is_empty()
     }
 
     /// All of them, with their numbers.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = (usize, &DatasetInfo)> + Clone {
-        self.numbers.iter().filter_map(|&number| Some((number, self.listed(number)?)))
+        self.some.iter().map(|&(number, place)| (number, self.listed[place].1.as_ref()))
     }
 
     /// Whether both are the one list: a cheap test that nothing has changed.
     #[must_use]
     pub fn is(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.numbers, &other.numbers)
+        Arc::ptr_eq(&self.some, &other.some)
     }
+}
 
-    pub(crate) fn numbers(&self) -> &[usize] {
-        &self.numbers
-    }
-
-    fn listed(&self, number: usize) -> Option<&DatasetInfo> {
-        let place = self.listed.binary_search_by_key(&number, |(number, _)| *number).ok()?;
-        Some(self.listed[place].1.as_ref())
+impl fmt::Debug for Datasets {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_map().entries(self.iter()).finish()
     }
 }
 
@@ -102,8 +102,8 @@ impl FromIterator<(usize, Arc<DatasetInfo>)> for Datasets {
         let mut listed: Vec<_> = datasets.into_iter().collect();
         listed.sort_by_key(|(number, _)| *number);
         listed.dedup_by_key(|(number, _)| *number);
-        let numbers = listed.iter().map(|(number, _)| *number).collect();
-        Self { numbers, listed: listed.into() }
+        let some = listed.iter().enumerate().map(|(place, (number, _))| (*number, place)).collect();
+        Self { some, listed: listed.into() }
     }
 }
 
@@ -188,4 +188,75 @@ pub struct Selection {
     pub wanted: usize,
     /// Pages that the search found out of sight.
     pub culled: usize,
+}
+
+impl Selection {
+    /// That of a session that has not been asked yet.
+    pub(crate) fn none(scene: u64) -> Self {
+        Self {
+            generation: 0,
+            scene,
+            datasets: Datasets::default(),
+            pages: Vec::new(),
+            roots: Vec::new(),
+            beneath: Vec::new(),
+            missing: 0,
+            failed: Vec::new(),
+            tolerance_px: f64::INFINITY,
+            error_px: f64::INFINITY,
+            visited: 0,
+            wanted: 0,
+            culled: 0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use areoid_formats::grid::Outline;
+    use areoid_formats::projection::{Crs, Projection};
+
+    use super::*;
+
+    #[test]
+    fn some_of_the_datasets_are_those_and_no_others() {
+        let crs = Crs::new(
+            Projection::Geographic,
+            areoid_formats::body::Body::parse("mars").unwrap().ellipsoid,
+        );
+        let outline =
+            Outline { origin: [-180.0, 90.0], pixel_size: [1.0; 2], width: 360, height: 180 };
+        let grid = Grid::from_outline(crs, outline, 66).unwrap().grid;
+        let info = |number: usize| {
+            let name = number.to_string();
+            (
+                number,
+                Arc::new(DatasetInfo {
+                    name,
+                    group: None,
+                    kind: Kind::Height,
+                    grid: grid.clone(),
+                    priority: 0,
+                }),
+            )
+        };
+        let all: Datasets = [7, 2, 5, 11, 3].into_iter().map(info).collect();
+        let numbers =
+            |datasets: &Datasets| datasets.iter().map(|(number, _)| number).collect::<Vec<_>>();
+        assert_eq!(numbers(&all), [2, 3, 5, 7, 11]);
+        let some = all.some(&[(3, 1), (11, 4)]);
+        assert_eq!((numbers(&some), some.len(), some.is_empty()), (vec![3, 11], 2, false));
+        for number in 0..13 {
+            let place = [3, 11].iter().position(|there| *there == number);
+            assert_eq!(some.place(number), place);
+            assert_eq!(
+                some.get(number).map(|info| info.name.clone()),
+                place.map(|_| number.to_string())
+            );
+        }
+        assert_eq!(some[11].name, "11");
+        assert!(
+            some.is(&some.clone()) && !some.is(&all) && !some.is(&all.some(&[(3, 1), (11, 4)]))
+        );
+    }
 }

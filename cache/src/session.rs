@@ -18,7 +18,7 @@ use crate::memo::Memo;
 use crate::motion::Motion;
 use crate::scene::Scene;
 use crate::search::{Hidden, Wish, search};
-use crate::selection::{DatasetInfo, Datasets, ResidentPage, Selection};
+use crate::selection::{DatasetInfo, ResidentPage, Selection};
 use crate::store::{Request, Store};
 use crate::view::{Lens, View};
 
@@ -60,8 +60,6 @@ pub struct Session {
     pub blends: bool,
     last: Arc<Selection>,
     held: Held,
-    /// Room for the numbers of datasets.
-    numbers: Vec<usize>,
     news: watch::Receiver<u64>,
     budget_bytes: usize,
 }
@@ -89,21 +87,7 @@ impl Session {
             store.stats.budget_bytes
         };
         shared.sessions.fetch_add(1, Relaxed);
-        let last = Arc::new(Selection {
-            generation: 0,
-            scene: scene.generation,
-            datasets: Datasets::default(),
-            pages: Vec::new(),
-            roots: Vec::new(),
-            beneath: Vec::new(),
-            missing: 0,
-            failed: Vec::new(),
-            tolerance_px: f64::INFINITY,
-            error_px: f64::INFINITY,
-            visited: 0,
-            wanted: 0,
-            culled: 0,
-        });
+        let last = Arc::new(Selection::none(scene.generation));
         Self {
             engine,
             number,
@@ -123,7 +107,6 @@ impl Session {
             blends: false,
             last,
             held: Held::default(),
-            numbers: Vec::new(),
             news,
             budget_bytes,
         }
@@ -362,8 +345,8 @@ impl Session {
     /// Turns what there is of what was found into a selection, and what there is not into requests.
     fn select(&mut self, store: &mut Store, matched: Match, requests: Vec<Request>, now: Instant) {
         let Showing { found, .. } = &self.shown;
-        let Match { pages, roots: mut pinned, beneath, missing, failed, mut error_px, .. } =
-            matched;
+        let Match { pages, roots: mut pinned, beneath, missing, failed, .. } = matched;
+        let (mut datasets, mut error_px) = (matched.datasets, matched.error_px);
         let stats = &mut store.stats;
         let missed = (missing - matched.missing_beneath).min(found.wanted.len());
         stats.hits += (found.wanted.len() - missed) as u64;
@@ -389,16 +372,14 @@ impl Session {
         let same_pages = are_same(&before.pages, &pages)
             && are_same(&before.roots, &roots)
             && are_same(&before.beneath, &beneath);
-        self.numbers.clear();
-        self.numbers.extend(pages.iter().map(|page| page.dataset));
-        self.numbers.extend(failed.iter().map(|failed| failed.dataset));
-        self.numbers.sort_unstable();
-        self.numbers.dedup();
+        datasets.sort_unstable();
+        datasets.dedup();
         // A number stands for one dataset for good.
-        let datasets = if before.datasets.numbers() == self.numbers {
+        let numbers = datasets.iter().map(|(number, _)| *number);
+        let datasets = if before.datasets.iter().map(|(number, _)| number).eq(numbers) {
             before.datasets.clone()
         } else {
-            scene.infos.some(&self.numbers)
+            scene.infos.some(&datasets)
         };
         let same = same_pages && before.datasets.is(&datasets);
         self.last = Arc::new(Selection {
@@ -456,9 +437,14 @@ impl Drop for Session {
     fn drop(&mut self) {
         let shared = self.engine.shared();
         shared.sessions.fetch_sub(1, Relaxed);
-        shared.store().remove_session(self.number);
+        {
+            let mut store = shared.store();
+            self.held.renew([].iter(), [].into_iter(), &mut store);
+            store.remove_session(self.number);
+        }
         shared.lookouts().remove(self.number);
         // What it held may make room for others.
+        self.last = Arc::new(Selection::none(self.last.scene));
         shared.wake();
     }
 }

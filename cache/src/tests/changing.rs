@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use super::*;
 use crate::open::newcomer;
+use crate::scene::{Node, Scene};
 
 fn numbers(selection: &Selection) -> BTreeSet<usize> {
     selection.pages.iter().map(|page| page.dataset).collect()
@@ -257,11 +258,56 @@ fn nobody_sees_a_mixture() {
     assert_eq!((settled.missing, settled.datasets.len()), (0, 2));
 }
 
+/// What a search reads of each dataset is what that says of itself: through many changes, with new terrain under
+/// what lies on it, for one root and for several; and in the scenes before, too.
+#[test]
+fn leaves_say_what_datasets_do() {
+    // All around, and 95 columns cannot be halved.
+    let pixel_size = [360.0 / 380.0; 2];
+    let wide = Outline { origin: [-180.0, 45.0], pixel_size, width: 380, height: 90 };
+    let crs = Crs::new(Projection::Geographic, mars().ellipsoid);
+    let wide = Gated::new("wide", Grid::from_outline(crs, wide, 66).unwrap().grid, Kind::Color);
+    let made = [wide, Gated::globe(), Gated::new("cap", cap(), Kind::Color)];
+    let check = |scene: &Scene| {
+        for dataset in &scene.datasets {
+            let leaf = scene.leaf(dataset.slot as usize);
+            assert_eq!((leaf.number, leaf.kind), (dataset.number, dataset.kind));
+            let said = |node: &Node| (node.entry, node.volume, node.texel_m);
+            let only = match dataset.roots.as_slice() {
+                [root] => Some(said(root)),
+                _ => None,
+            };
+            assert_eq!(leaf.root.as_ref().map(said), only);
+            for root in &dataset.roots {
+                assert_eq!(leaf.page_bytes(&root.entry), dataset.page_bytes(&root.entry));
+            }
+        }
+        let several = scene.datasets.iter().filter(|dataset| dataset.roots.len() > 1).count();
+        (scene.slots.len(), several)
+    };
+    let mut scenes = vec![Scene::empty(mars())];
+    let mut heights = BTreeSet::new();
+    for round in 0..400_usize {
+        // Colors first, which lie on the terrain that comes then.
+        let made = &made[if round < 80 { round % 2 * 2 } else { round * 7 % 3 }];
+        let mut info = made.info.clone();
+        // Many at first, and then some less.
+        info.name = (round % if round < 200 { 150 } else { 90 }).to_string();
+        let newcomer = newcomer(info.clone(), Arc::clone(&made.archive) as _).unwrap();
+        let next = scenes[scenes.len() - 1].changed(|other| other.name == info.name, [newcomer]);
+        heights.insert(next.radii(1.0).map(|radius| radius.0.to_bits()));
+        scenes.push(next);
+    }
+    let (slots, several): (Vec<usize>, Vec<usize>) = scenes.iter().map(check).unzip();
+    let most = [slots, several].map(|all| all.into_iter().max().unwrap());
+    assert!(most[0] > 130 && most[1] > 30 && heights.len() == 2, "{most:?} {}", heights.len());
+}
+
 /// The tree stays good, and finds what there is, through many changes.
 #[test]
 fn the_tree_over_datasets_follows_all_changes() {
     let (globe, cap) = (Gated::globe(), Gated::new("cap", cap(), Kind::Height));
-    let mut scene = crate::scene::Scene::empty(mars());
+    let mut scene = Scene::empty(mars());
     for round in 0..300_usize {
         let made = if round % 3 == 0 { &globe } else { &cap };
         let mut info = made.info.clone();
@@ -276,15 +322,7 @@ fn the_tree_over_datasets_follows_all_changes() {
                 assert_eq!(scene.place(dataset.number), Some(place));
                 let bounds = scene.tree.get(dataset.slot).unwrap();
                 assert!(dataset.roots.iter().all(|root| bounds.contains(&root.volume.aabb())));
-                let slot = dataset.slot as usize;
-                assert_eq!(scene.slots[slot], place);
-                let leaf = scene.leaf(slot);
-                assert_eq!((leaf.number, leaf.kind), (dataset.number, dataset.kind));
-                let only = match dataset.roots.as_slice() {
-                    [root] => Some((root.entry.page, root.volume)),
-                    _ => None,
-                };
-                assert_eq!(leaf.root.map(|root| (root.entry.page, root.volume)), only);
+                assert_eq!(scene.slots[dataset.slot as usize], place);
             }
         }
         scene = next;

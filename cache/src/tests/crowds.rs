@@ -7,6 +7,7 @@ use super::*;
 use crate::found::Found;
 use crate::memo::Memo;
 use crate::scene::{Newcomer, Scene};
+use crate::search::{Hidden, Only, Wish};
 use areoid_formats::bvh::Bvh;
 
 /// The wanted pages, by their datasets' names.
@@ -102,4 +103,53 @@ fn the_largest_datasets_come_first_in_whatever_order_they_came() {
     assert!(tolerance_px > 20.0, "{tolerance_px}");
     let finer = [80, 120, 1000].map(|pages| found(pages).0.len());
     assert!(finer.is_sorted() && finer[0] > 50 && finer[2] > finer[0], "{finer:?}");
+}
+
+/// However much of a crowd is in sight of one view or of several, the tree over it leaves out nothing that looking at
+/// every dataset finds, and adds nothing.
+#[test]
+fn the_tree_finds_what_looking_at_each_does() {
+    let regions: Vec<Gated> = regions().filter(|region| !region.entries.is_empty()).collect();
+    let scene = scene(&regions.iter().collect::<Vec<_>>());
+    let places: Vec<usize> = (0..scene.datasets.len()).collect();
+    let lot = |number: u32, salt: u64| chance(PageAddress::new(Level(1), number, 0), salt);
+    let (mut memo, hidden) = (Memo::default(), &Hidden::default());
+    let (mut most, mut least, mut visited) = (0, usize::MAX, [0, 0]);
+    for number in 0..60 {
+        let one = |salt: u64| {
+            let altitude = 10_f64.powf(4.0 + 3.3 * lot(number, salt));
+            let place =
+                (360.0 * lot(number, salt + 1) - 180.0, 80.0 * lot(number, salt + 2) - 40.0);
+            let pitch = 90.0 * lot(number, salt + 3).powi(2);
+            View { tolerance_px: 20.0, ..view(place.0, place.1, altitude, pitch) }
+        };
+        let views = match number % 3 {
+            0 => vec![one(10)],
+            // An overview beside another, and a wall.
+            1 => vec![one(10), one(20)],
+            _ => (-2..=2)
+                .map(|tile| {
+                    let view = one(10);
+                    let turn = DMat3::from_rotation_y(0.6 * f64::from(tile));
+                    View { orientation: view.orientation * turn, ..view }
+                })
+                .collect(),
+        };
+        for exaggeration in [1.0, 3.0] {
+            let only = Only { places: &places, tolerance_px: 0.0 };
+            let [tree, each] = [None, Some(only)].map(|only| {
+                let mut found = Found::default();
+                let (views, allowance) = (views.as_slice(), usize::MAX);
+                let wish = Wish { views, exaggeration, hidden, allowance, blends: false, only };
+                crate::search::search(&scene, &mut memo, wish, &mut found);
+                found
+            });
+            assert_eq!(wanted(&scene, &tree), wanted(&scene, &each), "{number} {exaggeration}");
+            assert_eq!(tree.tolerance_px, each.tolerance_px);
+            (most, least) = (most.max(tree.roots.len()), least.min(tree.roots.len()));
+            visited = [visited[0] + tree.visited, visited[1] + each.visited];
+        }
+    }
+    assert!(least < 10 && most > 100, "{least} {most}");
+    assert!(visited[0] < visited[1], "{visited:?}");
 }
