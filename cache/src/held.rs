@@ -87,7 +87,7 @@ impl Held {
             }
             hold.wanted = now;
         }
-        // What is held is there, and what is there and wanted is shown: where none is left over, none is to be let go.
+        // What is held is in the store, and so shown where it is wanted: none is to be let go but those left over.
         if used < self.pages.len() {
             self.pages.retain(|name, hold| {
                 if hold.shown != now && hold.page.take().is_some() {

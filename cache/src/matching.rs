@@ -20,7 +20,8 @@ pub(crate) struct Match {
     /// Of them, those that would show beneath others.
     pub(crate) missing_beneath: usize,
     pub(crate) failed: Vec<FailedPage>,
-    /// Numbers of the datasets of `pages` and `failed`, and their places in the scene, in any order and again and again.
+    /// Numbers of the datasets of `pages` and `failed`, and their places in the scene: one for each of those, as
+    /// they were found.
     pub(crate) datasets: Vec<(usize, usize)>,
     /// The largest error of `pages`; infinite where there is none for a wanted one.
     pub(crate) error_px: f64,
