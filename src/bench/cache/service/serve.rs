@@ -18,8 +18,10 @@ const CONNECTIONS: [(usize, f64); 3] = [(1, 1.0), (8, 1.0), (64, 0.85)];
 /// Our 99th percentile over nginx's.
 const MOST_P99: f64 = 1.2;
 
-/// Rounds that are compared.
+/// Rounds that are compared: many short ones, as what else the machine does comes and goes by the second. A few where
+/// less than a second is asked for, only to see that all is there.
 const ROUNDS: usize = 15;
+const FEW_ROUNDS: usize = 2;
 
 /// Who is asked, with their runs.
 struct Server {
@@ -33,6 +35,8 @@ pub(in super::super) fn measure(outside: &Outside<'_>) -> Result<Chapter, Failur
     let programs = (outside.peers.program("nginx"), outside.peers.program("wrk"));
     let (mut targets, mut rows, mut data) = (Vec::new(), Vec::new(), Vec::new());
     let (catalog, root) = (outside.work("serve"), outside.work("files"));
+    let rounds = if outside.setting.seconds < 1.0 { FEW_ROUNDS } else { ROUNDS };
+    let seconds = outside.run_seconds().div_ceil(3);
     std::fs::create_dir_all(&catalog)?;
     for size in SIZES {
         pages::make(outside, size, &catalog)?;
@@ -62,9 +66,7 @@ pub(in super::super) fn measure(outside: &Outside<'_>) -> Result<Chapter, Failur
                 server(&format!("nginx, {} workers", cores()), many.public),
                 server("nginx, 1 worker", one.public),
             ];
-            // Many short ones: what else the machine does comes and goes by the second.
-            let seconds = outside.run_seconds().div_ceil(3);
-            for round in 0..=ROUNDS {
+            for round in 0..=rounds {
                 for server in &mut servers {
                     let load = wrk.run(server.address, connections, seconds)?;
                     // The first warms what is to be warm.
@@ -84,7 +86,7 @@ pub(in super::super) fn measure(outside: &Outside<'_>) -> Result<Chapter, Failur
     Ok(Chapter {
         name: "serve",
         title: "Serving pages",
-        notes: vec![notes()],
+        notes: vec![notes(rounds)],
         tables: vec![Table {
             title: "Pages in memory, over the loopback".to_owned(),
             head: vec![
@@ -104,14 +106,14 @@ pub(in super::super) fn measure(outside: &Outside<'_>) -> Result<Chapter, Failur
     })
 }
 
-fn notes() -> String {
+fn notes(rounds: usize) -> String {
     format!(
         "wrk asks for a few pages in turn over connections that are kept, for some seconds each, of `areoid \
          serve` with a thread a core, of nginx with a worker a core, and of nginx with one, all on the \
          same cores, in turn, round after round; the first of {} rounds is not counted. nginx has the \
          same bytes as files (sendfile, tcp_nopush, no log). Ratios are Areoid's over the other's within \
          a round. Median (least–greatest).",
-        ROUNDS + 1
+        rounds + 1
     )
 }
 
