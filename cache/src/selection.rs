@@ -55,6 +55,11 @@ impl Datasets {
         Self { some: some.into(), listed: Arc::clone(&self.listed) }
     }
 
+    /// Their numbers, ascending.
+    pub(crate) fn numbers(&self) -> impl Iterator<Item = usize> {
+        self.some.iter().map(|(number, _)| *number)
+    }
+
     /// The dataset of a number, if it is among these.
     #[must_use]
     pub fn get(&self, number: usize) -> Option<&DatasetInfo> {

@@ -376,7 +376,7 @@ impl Session {
         datasets.dedup();
         // A number stands for one dataset for good.
         let numbers = datasets.iter().map(|(number, _)| *number);
-        let datasets = if before.datasets.iter().map(|(number, _)| number).eq(numbers) {
+        let datasets = if before.datasets.numbers().eq(numbers) {
             before.datasets.clone()
         } else {
             scene.infos.some(&datasets)
