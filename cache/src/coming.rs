@@ -84,12 +84,13 @@ impl Coming {
     pub(crate) fn ask(
         &mut self,
         matcher: &mut Matcher,
+        memo: &Memo,
         store: &Store,
         requests: &mut Vec<Request>,
     ) {
         let mut others = Vec::new();
         let Showing { scene, found } = &self.showing;
-        matcher.expect(scene, found, |work| store.needs_load(work), &mut others);
+        matcher.expect(scene, memo, found, |work| store.needs_load(work), &mut others);
         self.lacks.retain(|request| !store.is_settled(request));
         self.is_ready = others.is_empty() && self.lacks.is_empty();
         requests.append(&mut others);

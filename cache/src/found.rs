@@ -2,10 +2,8 @@
 
 use std::collections::BinaryHeap;
 
-use areoid_formats::archive::PageEntry;
-use glam::DVec3;
+use areoid_formats::address::PageAddress;
 
-use crate::scene::Node;
 use crate::view::{Lens, Sight};
 
 /// A page in sight.
@@ -15,11 +13,11 @@ pub(crate) struct Seen {
     pub(crate) dataset: usize,
     /// Its dataset's number.
     pub(crate) number: usize,
-    pub(crate) entry: PageEntry,
+    pub(crate) page: PageAddress,
     /// At least the ground meters of one of its texels, and at most those of its parent's.
     pub(crate) texel_m: f64,
-    /// The middle of its volume.
-    pub(crate) middle: DVec3,
+    /// Whether its middle is surely in the picture, or all of it.
+    pub(crate) is_in: bool,
     /// Its place in [`Found::seen`].
     pub(crate) parent: Option<usize>,
     /// From the nearest eye that sees it.
@@ -37,6 +35,7 @@ pub(crate) struct Glance {
     pub(crate) distance: f64,
     pub(crate) error_m: f64,
     pub(crate) pixels: f64,
+    pub(crate) is_in: bool,
 }
 
 impl Glance {
@@ -44,12 +43,11 @@ impl Glance {
     pub(crate) fn seen(
         self,
         (dataset, number): (usize, usize),
-        node: &Node,
+        page: PageAddress,
         parent: Option<usize>,
     ) -> Seen {
-        let Self { texel_m, distance, error_m, pixels } = self;
-        let (entry, middle) = (node.entry, node.volume.bounds().center);
-        Seen { dataset, number, entry, texel_m, middle, parent, distance, error_m, pixels }
+        let Self { texel_m, distance, error_m, pixels, is_in } = self;
+        Seen { dataset, number, page, texel_m, is_in, parent, distance, error_m, pixels }
     }
 }
 
@@ -83,8 +81,8 @@ pub(crate) struct Found {
     pub(crate) root_sights: Vec<Sight>,
     pub(crate) heap: BinaryHeap<Candidate>,
     pub(crate) lenses: Vec<Lens>,
-    /// Room for branches of the tree, and for slots of datasets.
-    pub(crate) room: [Vec<usize>; 2],
+    /// Room for branches of the tree, and for slots of datasets and whether all of them is in sight.
+    pub(crate) room: (Vec<usize>, Vec<(usize, bool)>),
     /// Pages that gave way to their children, and their least error where they are seen, over the
     /// largest with which they still show.
     pub(crate) refined: Vec<(usize, f64)>,
@@ -94,9 +92,10 @@ pub(crate) struct Found {
 /// looked at.
 ///
 /// The next is the one with the largest error; of equals, the later step, and of its kind the one found
-/// first. All of that is one number, from the most significant bits down: heaps compare a lot.
+/// first. All of that is one number, from the most significant bits down: heaps compare a lot, and move what
+/// they compare. Errors of which single precision makes one are equal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Candidate(u128);
+pub(crate) struct Candidate(u64);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Step {
@@ -135,25 +134,30 @@ impl Found {
 }
 
 impl Candidate {
+    /// The greatest place: fewer than that of anything have room in memory.
+    const LAST: usize = (1 << 31) - 1;
+
     /// Of an error in pixels that is not negative. One that is no number is none.
     pub(crate) fn new(pixels: f64, place: usize, step: Step) -> Self {
+        #[expect(clippy::cast_possible_truncation, reason = "the nearest, and from there up")]
+        let nearest = pixels.max(0.0) as f32;
+        let least = if f64::from(nearest) < pixels { nearest.next_up() } else { nearest };
         // Of numbers that are not negative, the bits are ordered as they are.
-        let error = u128::from(pixels.max(0.0).to_bits() & !(1 << 63));
-        Self(error << 64 | (step as u128) << 62 | (Self::LAST - place as u128))
+        let error = u64::from(least.abs().to_bits());
+        Self(error << 33 | (step as u64) << 31 | (Self::LAST - place) as u64)
     }
 
-    const LAST: u128 = (1 << 62) - 1;
-
+    /// At least the error, and that of whatever comes after.
     pub(crate) fn pixels(self) -> f64 {
-        f64::from_bits((self.0 >> 64) as u64)
+        f64::from(f32::from_bits((self.0 >> 33) as u32))
     }
 
     pub(crate) fn place(self) -> usize {
-        (Self::LAST - (self.0 & Self::LAST)) as usize
+        Self::LAST - (self.0 << 33 >> 33) as u32 as usize
     }
 
     pub(crate) fn step(self) -> Step {
-        match self.0 >> 62 & 3 {
+        match self.0 >> 31 & 3 {
             0 => Step::Refine,
             1 => Step::Draw,
             2 => Step::Climb,
@@ -169,11 +173,11 @@ mod tests {
     #[test]
     fn candidates_are_what_they_were_made_of_and_in_order() {
         let steps = [Step::Refine, Step::Draw, Step::Climb, Step::Sweep];
-        let errors = [0.0, f64::MIN_POSITIVE, 0.5, 1.0, 1e9, f64::MAX, f64::INFINITY];
+        let exact = [0.0, 0.5, 1.0, 1e9, f64::from(f32::MAX), f64::INFINITY];
         let mut last = None;
-        for pixels in errors {
+        for pixels in exact {
             for step in steps {
-                for place in [usize::MAX >> 2, 7, 1, 0] {
+                for place in [(1 << 31) - 1, 7, 1, 0] {
                     let candidate = Candidate::new(pixels, place, step);
                     let found = (candidate.pixels(), candidate.place(), candidate.step());
                     assert_eq!(found, (pixels, place, step));
@@ -184,5 +188,13 @@ mod tests {
         }
         assert!(Candidate::new(f64::NAN, 0, Step::Refine).pixels() == 0.0);
         assert_eq!(Candidate::new(-0.0, 3, Step::Draw), Candidate::new(0.0, 3, Step::Draw));
+        // Between what single precision knows, up.
+        for pixels in [f64::MIN_POSITIVE, 1e-20, 0.1, 1.0_f64.next_up(), 123.456, 1e38, f64::MAX] {
+            let candidate = Candidate::new(pixels, 0, Step::Refine);
+            assert!(candidate.pixels() >= pixels, "{pixels}");
+            let most = (pixels * (1.0 + 2.0_f64.powi(-23))).max(1e-44);
+            assert!(candidate.pixels() <= most || pixels > 1e38, "{pixels}");
+            assert!(candidate >= Candidate::new(pixels.next_down(), 0, Step::Refine));
+        }
     }
 }

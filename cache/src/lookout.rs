@@ -115,9 +115,9 @@ impl Look {
 
     /// What to ask for, of what was found, that `needs_load`.
     pub(crate) fn requests(&mut self, needs_load: impl Fn(Work) -> bool) -> Vec<Request> {
-        let Room { matcher, found, .. } = &mut *self.room;
+        let Room { memo, matcher, found, .. } = &mut *self.room;
         let mut requests = Vec::new();
-        matcher.expect(&self.task.scene, found, needs_load, &mut requests);
+        matcher.expect(&self.task.scene, memo, found, needs_load, &mut requests);
         requests
     }
 

@@ -4,8 +4,10 @@ use std::sync::Arc;
 
 use areoid_formats::archive::Payload;
 
+use crate::coming::Showing;
 use crate::found::{Found, Seen};
 use crate::held::Held;
+use crate::memo::Memo;
 use crate::scene::Scene;
 use crate::selection::{FailedPage, ResidentPage};
 use crate::store::{PageName, Request, Store, Work};
@@ -47,7 +49,7 @@ struct Mark {
 
 impl Seen {
     pub(crate) fn name(&self) -> PageName {
-        PageName { dataset: self.number, page: self.entry.page }
+        PageName { dataset: self.number, page: self.page }
     }
 }
 
@@ -62,8 +64,8 @@ impl Matcher {
     /// that the picture is soon whole. A few come as soon without.
     pub(crate) fn compare(
         &mut self,
-        scene: &Scene,
-        found: &Found,
+        Showing { scene, found }: &Showing,
+        memo: &Memo,
         held: &Held,
         store: &mut Store,
         requests: &mut Vec<Request>,
@@ -174,7 +176,7 @@ impl Matcher {
             // Their names stand in as many places of memory: each is looked up once.
             pages.sort_by_cached_key(|page| (page.entry.page, page.dataset));
         }
-        self.end(scene, found, requests);
+        self.end(scene, memo, found, requests);
         result
     }
 
@@ -202,6 +204,7 @@ impl Matcher {
     pub(crate) fn expect(
         &mut self,
         scene: &Scene,
+        memo: &Memo,
         found: &Found,
         needs_load: impl Fn(Work) -> bool,
         requests: &mut Vec<Request>,
@@ -219,7 +222,7 @@ impl Matcher {
                 self.needs.push((place, work));
             }
         }
-        self.end(scene, found, requests);
+        self.end(scene, memo, found, requests);
     }
 
     fn begin(&mut self, found: &Found) {
@@ -236,7 +239,7 @@ impl Matcher {
     }
 
     /// In order of need: roots, then coarse before fine, near before far, large error first.
-    fn end(&mut self, scene: &Scene, found: &Found, requests: &mut Vec<Request>) {
+    fn end(&mut self, scene: &Scene, memo: &Memo, found: &Found, requests: &mut Vec<Request>) {
         // Coarse is what has large texels, in steps of two: levels of two datasets do not compare. The
         // exponent of x √2 is the logarithm of x, rounded.
         let coarseness = |seen: &Seen| {
@@ -250,10 +253,12 @@ impl Matcher {
                 .then(b.pixels.total_cmp(&a.pixels))
                 .then(one_work.cmp(&other_work))
         });
-        requests.extend(self.needs.drain(..).map(|(place, work)| {
+        requests.extend(self.needs.drain(..).filter_map(|(place, work)| {
             let seen = &found.seen[place];
             let dataset = &scene.datasets[seen.dataset];
-            let entry = seen.entry;
+            let parent = seen.parent.map(|parent| found.seen[parent].page);
+            // What a search has just found is remembered.
+            let entry = memo.entry(dataset, parent, seen.page)?;
             let stored = match entry.payload {
                 Payload::Constant(_) => 0,
                 Payload::Record { length, .. } => length as usize,
@@ -262,7 +267,7 @@ impl Matcher {
                 Work::Children(_) => 0,
                 Work::Texels(_) => dataset.load_bytes(stored),
             };
-            Request { work, dataset: Arc::clone(dataset), entry, bytes }
+            Some(Request { work, dataset: Arc::clone(dataset), entry, bytes })
         }));
     }
 }

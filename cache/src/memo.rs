@@ -4,6 +4,7 @@
 use std::collections::hash_map::Entry;
 
 use areoid_formats::address::{Level, PageAddress};
+use areoid_formats::archive::PageEntry;
 use rustc_hash::FxHashMap;
 
 use crate::scene::{Dataset, Node};
@@ -35,6 +36,8 @@ struct Family {
     stamp: u64,
     terrain: Option<[f64; 2]>,
     nodes: Vec<Node>,
+    /// Of each node.
+    entries: Vec<PageEntry>,
 }
 
 impl Memo {
@@ -64,24 +67,33 @@ impl Memo {
         if exaggeration == 1.0 {
             return &dataset.roots;
         }
-        let roots = || {
-            let roots = dataset.roots.iter();
-            Some(roots.map(|root| dataset.node(root.entry, exaggeration)).collect())
-        };
-        self.family(dataset, ABOVE, roots).unwrap_or_default()
+        self.family(dataset, ABOVE, || Some(dataset.entries.clone())).unwrap_or_default()
     }
 
     /// Children of a page that have data, or `None` if the index has to be read first.
     pub(crate) fn children(&mut self, dataset: &Dataset, page: PageAddress) -> Option<&[Node]> {
-        let exaggeration = self.exaggeration;
-        self.family(dataset, page, || dataset.children(page, exaggeration))
+        self.family(dataset, page, || dataset.children(page))
+    }
+
+    /// The entry of a page that was found under another, or is a root.
+    pub(crate) fn entry(
+        &self,
+        dataset: &Dataset,
+        parent: Option<PageAddress>,
+        page: PageAddress,
+    ) -> Option<PageEntry> {
+        let entries = match parent {
+            Some(parent) => &self.children.get(&(dataset.number, parent))?.entries,
+            None => &dataset.entries,
+        };
+        entries.iter().find(|entry| entry.page == page).copied()
     }
 
     fn family(
         &mut self,
         dataset: &Dataset,
         page: PageAddress,
-        make: impl FnOnce() -> Option<Vec<Node>>,
+        find: impl FnOnce() -> Option<Vec<PageEntry>>,
     ) -> Option<&[Node]> {
         let (stamp, terrain, exaggeration) = (self.clock, dataset.terrain(), self.exaggeration);
         match self.children.entry((dataset.number, page)) {
@@ -89,16 +101,15 @@ impl Memo {
                 let family = entry.into_mut();
                 family.stamp = stamp;
                 if family.terrain != terrain {
-                    let nodes = family.nodes.iter();
-                    family.nodes =
-                        nodes.map(|node| dataset.node(node.entry, exaggeration)).collect();
+                    family.nodes = dataset.nodes(&family.entries, exaggeration);
                     family.terrain = terrain;
                 }
                 Some(&family.nodes)
             }
             Entry::Vacant(entry) => {
-                let nodes = make()?;
-                Some(&entry.insert(Family { stamp, terrain, nodes }).nodes)
+                let entries = find()?;
+                let nodes = dataset.nodes(&entries, exaggeration);
+                Some(&entry.insert(Family { stamp, terrain, nodes, entries }).nodes)
             }
         }
     }
@@ -127,11 +138,11 @@ impl Memo {
         let mut unsure = [None; 4];
         for (child, place) in children.iter().zip(&mut unsure) {
             *visited += 1;
-            let is_last = levels == 1 || child.entry.page.level == finest;
+            let is_last = levels == 1 || child.page.level == finest;
             match judge(child, is_last) {
                 Verdict::Yes => {}
                 Verdict::No => return false,
-                Verdict::Unsure => *place = Some(child.entry.page),
+                Verdict::Unsure => *place = Some(child.page),
             }
         }
         let mut unsure = unsure.into_iter().flatten();

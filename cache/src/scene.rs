@@ -46,7 +46,7 @@ pub(crate) struct Scene {
 }
 
 /// A dataset as the search sees it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Dataset {
     pub(crate) number: usize,
     pub(crate) slot: u32,
@@ -58,17 +58,24 @@ pub(crate) struct Dataset {
     pub(crate) finest: Level,
     texels: usize,
     pub(crate) roots: Vec<Node>,
+    /// Of the roots.
+    pub(crate) entries: Vec<PageEntry>,
     /// The terrain that colors lie on.
     heights: [f64; 2],
 }
 
-/// A page as the search sees it.
-#[derive(Clone, Copy, Debug)]
+/// A page as the search sees it: of its entry, what is read of most pages.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Node {
-    pub(crate) entry: PageEntry,
+    pub(crate) page: PageAddress,
     pub(crate) volume: Volume,
     /// At least the ground meters of a texel.
     pub(crate) texel_m: f64,
+    /// As in [`PageEntry`].
+    pub(crate) bound: f32,
+    pub(crate) full: bool,
+    /// Whether it has no valid texel.
+    pub(crate) is_empty: bool,
 }
 
 /// What a search reads of a dataset that it has found in sight, in as few lines of a processor's cache as it can:
@@ -84,7 +91,7 @@ pub(crate) struct Leaf {
     texels: usize,
 }
 
-const _: () = assert!(size_of::<Leaf>() == 256);
+const _: () = assert!(size_of::<Leaf>() == 192);
 
 /// One for each slot, in blocks that a scene shares with the one before.
 #[derive(Clone, Debug, Default)]
@@ -183,7 +190,8 @@ impl Scene {
         scene
     }
 
-    /// Builds the tree anew once an eighth of it has changed, if that makes it better.
+    /// Builds the tree anew once an eighth of it has changed, if that makes it better. Datasets have their slots in
+    /// its order then: what lies side by side on the ground does so in memory.
     fn keep_tree(&mut self) {
         const FEW: usize = 32;
         if self.changes > FEW.max(self.datasets.len() / 8) {
@@ -194,8 +202,23 @@ impl Scene {
             }
             if fresh.cost() < self.tree.cost() {
                 self.tree = fresh;
+                self.sort_slots();
             }
             self.changes = 0;
+        }
+    }
+
+    /// Gives datasets the slots that are their places in the tree.
+    fn sort_slots(&mut self) {
+        let before = self.tree.renumber();
+        // Each has an item, and each slot that is not free has a dataset.
+        self.slots = before.iter().map(|&slot| self.slots[slot as usize]).collect();
+        self.free.clear();
+        self.leaves = Leaves::default();
+        for (slot, &place) in (0..).zip(&self.slots) {
+            let dataset = Dataset { slot, ..Dataset::clone(&self.datasets[place]) };
+            self.leaves.set(slot as usize, Leaf::of(&dataset));
+            self.datasets[place] = Arc::new(dataset);
         }
     }
 
@@ -216,10 +239,10 @@ impl Scene {
 
     /// Asks memory for that: [`Bvh::fetch`].
     pub(crate) fn fetch(&self, slot: usize) {
-        if let Leaf { root: Some(Node { entry, volume, texel_m }), number, .. } = self.leaf(slot) {
+        if let Leaf { root: Some(Node { volume, texel_m, .. }), .. } = self.leaf(slot) {
             // One in each line of a processor's cache.
             let bounds = volume.bounds();
-            black_box((entry.bound, bounds.center.x, bounds.half.z, *texel_m, *number));
+            black_box((bounds.center.x, bounds.half.z, *texel_m));
         }
     }
 
@@ -302,8 +325,8 @@ impl Leaf {
     }
 
     /// Bytes of a decoded page.
-    pub(crate) fn page_bytes(&self, entry: &PageEntry) -> usize {
-        page_bytes(self.kind, self.texels, entry)
+    pub(crate) fn page_bytes(&self, node: &Node) -> usize {
+        page_bytes(self.kind, self.texels, node.full)
     }
 }
 
@@ -345,15 +368,16 @@ impl Dataset {
             finest,
             texels: side * side,
             roots: Vec::new(),
+            entries: roots,
             heights,
         };
-        dataset.roots = roots.into_iter().map(|entry| dataset.node(entry, 1.0)).collect();
+        dataset.roots = dataset.nodes(&dataset.entries, 1.0);
         dataset
     }
 
     /// The same on another terrain.
     fn on(&self, heights: [f64; 2]) -> Self {
-        let roots = self.roots.iter().map(|root| root.entry).collect();
+        let roots = self.entries.clone();
         let (info, pages) = (Arc::clone(&self.info), Arc::clone(&self.pages));
         Self::new(self.number, self.slot, info, pages, roots, heights)
     }
@@ -384,8 +408,8 @@ impl Dataset {
     }
 
     /// Bytes of a decoded page.
-    pub(crate) fn page_bytes(&self, entry: &PageEntry) -> usize {
-        page_bytes(self.kind, self.texels, entry)
+    pub(crate) fn page_bytes(&self, node: &Node) -> usize {
+        page_bytes(self.kind, self.texels, node.full)
     }
 
     /// The most that loading a page takes of so many stored bytes: those, and texels with a coverage
@@ -394,8 +418,12 @@ impl Dataset {
         self.texels * (size_of::<f32>() + 1) + stored
     }
 
-    /// What the search has to know of a page on terrain whose heights are taken so many times.
-    pub(crate) fn node(&self, entry: PageEntry, exaggeration: f64) -> Node {
+    /// What the search has to know of pages on terrain whose heights are taken so many times.
+    pub(crate) fn nodes(&self, entries: &[PageEntry], exaggeration: f64) -> Vec<Node> {
+        entries.iter().map(|entry| self.node(entry, exaggeration)).collect()
+    }
+
+    pub(crate) fn node(&self, entry: &PageEntry, exaggeration: f64) -> Node {
         let Self { info, heights, .. } = self;
         let (texel_m, [lowest, highest]) = match info.kind {
             Kind::Height => {
@@ -407,28 +435,28 @@ impl Dataset {
         };
         let [lowest, highest] = [lowest, highest].map(|height| Meters(exaggeration * height));
         let volume = Volume::new(&info.grid, entry.page, lowest, highest);
-        Node { entry, volume, texel_m }
+        let &PageEntry { page, bound, full, valid_fraction, .. } = entry;
+        Node { page, volume, texel_m, bound, full, is_empty: valid_fraction <= 0.0 }
     }
 
     /// Children of a page that have data, or `None` if the index has to be read first. Never
     /// waits.
-    pub(crate) fn children(&self, page: PageAddress, exaggeration: f64) -> Option<Vec<Node>> {
+    pub(crate) fn children(&self, page: PageAddress) -> Option<Vec<PageEntry>> {
         let mut children = Vec::with_capacity(4);
         for child in self.info.grid.pyramid().children(page) {
-            let entry = self.pages.find_resident(child)?;
-            children.extend(entry.map(|entry| self.node(entry, exaggeration)));
+            children.extend(self.pages.find_resident(child)?);
         }
         Some(children)
     }
 }
 
-/// Bytes of a decoded page of so many texels.
-fn page_bytes(kind: Kind, texels: usize, entry: &PageEntry) -> usize {
+/// Bytes of a decoded page of so many texels, which are all covered if it is `full`.
+fn page_bytes(kind: Kind, texels: usize, full: bool) -> usize {
     let per_texel = match kind {
         Kind::Height => size_of::<f32>(),
         Kind::Color | Kind::Normal => 3,
     };
-    texels * (per_texel + usize::from(!entry.full))
+    texels * (per_texel + usize::from(!full))
 }
 
 /// The largest ground size of a texel at the corners and in the middle of a page.

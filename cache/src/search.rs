@@ -103,12 +103,12 @@ pub(crate) fn search(scene: &Scene, memo: &mut Memo, wish: Wish<'_>, found: &mut
     if let Some(Only { places, tolerance_px }) = only {
         found.tolerance_px = found.tolerance_px.max(tolerance_px);
         let slots = places.iter().map(|&place| scene.datasets[place].slot as usize);
-        slots.for_each(|slot| search.open(slot, memo, found));
+        slots.for_each(|slot| search.open((slot, false), memo, found));
     } else if let Some(trunk) = scene.tree.trunk() {
         found.visited = 1;
         found.heap.push(Candidate::new(f64::INFINITY, trunk, Step::Climb));
     }
-    let (mut bytes, mut is_full) = (0, false);
+    let mut bytes = 0;
     while let Some(candidate) = found.heap.pop() {
         let (pixels, place) = (candidate.pixels(), candidate.place());
         match candidate.step() {
@@ -116,18 +116,12 @@ pub(crate) fn search(scene: &Scene, memo: &mut Memo, wish: Wish<'_>, found: &mut
             Step::Draw => {
                 if !search.draw(place, (&mut bytes, allowance), memo, found) {
                     found.tolerance_px = found.tolerance_px.max(pixels);
-                    // What would come after is smaller yet.
-                    found.heap.retain(|candidate| candidate.step() == Step::Refine);
-                    is_full = true;
+                    // All that would come after is smaller yet, and sharp enough if it is drawn.
+                    let drawn = |candidate: &Candidate| candidate.step() == Step::Refine;
+                    found.wanted.extend(found.heap.drain().filter(drawn).map(Candidate::place));
                 }
             }
-            // So are all the others that are drawn.
-            Step::Refine if pixels <= found.tolerance_px => {
-                found.wanted.push(place);
-                if is_full {
-                    found.wanted.extend(found.heap.drain().map(Candidate::place));
-                }
-            }
+            Step::Refine if pixels <= found.tolerance_px => found.wanted.push(place),
             Step::Refine => search.refine(place, (&mut bytes, allowance), memo, found),
         }
     }
@@ -165,9 +159,15 @@ impl Search<'_> {
     const LEAST_SHARP: f64 = 8.0;
 
     /// Puts branches of the tree over the datasets among what is to come, by the largest that one of
-    /// their datasets can be on the screen, and the slots of those that are a dataset among `items`. What
-    /// is `whole` is known to be in sight of one of the views.
-    fn climb(&self, branches: &[usize], whole: bool, items: &mut Vec<usize>, found: &mut Found) {
+    /// their datasets can be on the screen, and those that are a dataset among `items`. What is `whole` is known to
+    /// be in sight of one of the views.
+    fn climb(
+        &self,
+        branches: &[usize],
+        whole: bool,
+        items: &mut Vec<(usize, bool)>,
+        found: &mut Found,
+    ) {
         let tree = &self.scene.tree;
         branches.iter().for_each(|&branch| tree.fetch(branch));
         found.visited += branches.len();
@@ -176,7 +176,7 @@ impl Search<'_> {
             let bounds = bounds.grown(self.shift_m);
             if let Parts::Item(slot) = parts {
                 if whole || self.lenses.iter().any(|lens| !lens.misses_box(&bounds)) {
-                    items.push(slot as usize);
+                    items.push((slot as usize, whole));
                 }
                 continue;
             }
@@ -204,11 +204,11 @@ impl Search<'_> {
     fn take_apart(&self, branch: (usize, Step), memo: &mut Memo, found: &mut Found) {
         let tree = &self.scene.tree;
         let mut children = SmallVec::<[usize; 2 * BUNCH]>::new();
-        let [mut whole, mut items] = std::mem::take(&mut found.room);
+        let (mut whole, mut items) = std::mem::take(&mut found.room);
         let mut next = Some(branch);
         while let Some((branch, step)) = next {
             match tree.branch(branch).parts {
-                Parts::Item(slot) => items.push(slot as usize),
+                Parts::Item(slot) => items.push((slot as usize, step == Step::Sweep)),
                 Parts::Branches(parts) if step == Step::Sweep => whole.extend(parts),
                 Parts::Branches(parts) => children.extend(parts),
             }
@@ -227,7 +227,7 @@ impl Search<'_> {
             passed = level.end;
             for place in level {
                 match tree.branch(whole[place]).parts {
-                    Parts::Item(slot) => items.push(slot as usize),
+                    Parts::Item(slot) => items.push((slot as usize, true)),
                     Parts::Branches(parts) => whole.extend(parts),
                 }
             }
@@ -235,14 +235,14 @@ impl Search<'_> {
         found.visited += passed;
         self.climb(&children, false, &mut items, found);
         self.climb(&whole[passed..], true, &mut items, found);
-        items.iter().for_each(|&slot| self.scene.fetch(slot));
-        items.iter().for_each(|&slot| self.open(slot, memo, found));
-        [&mut whole, &mut items].into_iter().for_each(Vec::clear);
-        found.room = [whole, items];
+        items.iter().for_each(|&(slot, _)| self.scene.fetch(slot));
+        items.drain(..).for_each(|item| self.open(item, memo, found));
+        whole.clear();
+        found.room = (whole, items);
     }
 
-    /// Looks at the roots of the dataset in a slot.
-    fn open(&self, slot: usize, memo: &mut Memo, found: &mut Found) {
+    /// Looks at the roots of the dataset in a slot, which may be known to be in sight of one of the views as a whole.
+    fn open(&self, (slot, whole): (usize, bool), memo: &mut Memo, found: &mut Found) {
         if self.hidden.hides(|| &self.scene.dataset(slot).info) {
             return;
         }
@@ -250,9 +250,8 @@ impl Search<'_> {
         let mut sights = std::mem::take(&mut found.root_sights);
         for (root, node) in self.roots(slot, leaf, memo).iter().enumerate() {
             let mark = sights.len();
-            let Some(glance) = self.look_at(leaf.kind, node, None, &mut sights, found) else {
-                continue;
-            };
+            let glance = self.look_at(leaf.kind, node, (None, whole), &mut sights, found);
+            let Some(glance) = glance else { continue };
             // Nearer than its own size, it is as large as can be.
             let size = self.worst(node.extent_m(), sights[mark..].iter().copied());
             if size < Lens::SMALLEST_PX {
@@ -285,7 +284,7 @@ impl Search<'_> {
         let Root { slot, root, glance } = found.roots[place];
         let leaf = self.scene.leaf(slot);
         let node = &self.roots(slot, leaf, memo)[root];
-        let more = leaf.page_bytes(&node.entry);
+        let more = leaf.page_bytes(node);
         if *bytes + more > allowance {
             return false;
         }
@@ -293,7 +292,7 @@ impl Search<'_> {
         let views = self.lenses.len();
         let (place, sights) = (found.seen.len(), place * views..(place + 1) * views);
         found.sights.extend_from_slice(&found.root_sights[sights]);
-        found.seen.push(glance.seen((self.scene.slots[slot], leaf.number), node, None));
+        found.seen.push(glance.seen((self.scene.slots[slot], leaf.number), node.page, None));
         found.take_in(place);
         true
     }
@@ -308,7 +307,7 @@ impl Search<'_> {
     ) {
         let parent = found.seen[place];
         let dataset = &self.scene.datasets[parent.dataset];
-        let page = parent.entry.page;
+        let page = parent.page;
         if page.level == dataset.finest {
             found.wanted.push(place);
             return;
@@ -327,16 +326,16 @@ impl Search<'_> {
         let (mut more, mut sharper, mut least) = (0, 0.0_f64, f64::INFINITY);
         for node in nodes {
             let mark = sights.len();
-            let glance = self.look_at(dataset.kind, node, Some(place), &mut sights, found);
+            let glance = self.look_at(dataset.kind, node, (Some(place), false), &mut sights, found);
             if let Some(glance) = glance {
                 let here = sights[mark..].iter().copied();
                 sharper = sharper.max(self.worst(parent.error_m, here));
-                more += dataset.page_bytes(&node.entry);
+                more += dataset.page_bytes(node);
                 if self.blends {
                     least = least.min(self.least(&parent, dataset.kind, node, &sights[mark..]));
                 }
                 let owner = (parent.dataset, parent.number);
-                found.seen.push(glance.seen(owner, node, Some(place)));
+                found.seen.push(glance.seen(owner, node.page, Some(place)));
             }
         }
         found.sights = sights;
@@ -349,7 +348,7 @@ impl Search<'_> {
                 (Self::PARTS, false),
                 &mut found.visited,
                 &|part, is_last| {
-                    if part.entry.valid_fraction <= 0.0 {
+                    if part.is_empty {
                         return Verdict::Yes;
                     }
                     let halvings = if is_last { Self::HALVINGS } else { 0 };
@@ -396,12 +395,13 @@ impl Search<'_> {
         least.fold(f64::INFINITY, f64::min)
     }
 
-    /// A page as it is seen, one sight for each view; or `None`, and none, if it is not.
+    /// A page as it is seen, one sight for each view; or `None`, and none, if it is not. Its parent may be
+    /// known, and that all of it is in sight of one of the views.
     fn look_at(
         &self,
         kind: Kind,
         node: &Node,
-        parent: Option<usize>,
+        (parent, whole): (Option<usize>, bool),
         sights: &mut Vec<Sight>,
         found: &mut Found,
     ) -> Option<Glance> {
@@ -415,9 +415,14 @@ impl Search<'_> {
         let mut nearest = f64::INFINITY;
         for (number, lens) in self.lenses.iter().enumerate() {
             let above = parent.map(|place| sights[place * views + number]);
-            let is_hopeless = node.entry.valid_fraction <= 0.0
-                || above.as_ref().is_some_and(|above| !above.is_seen());
-            let mut sight = if is_hopeless { Sight::NONE } else { lens.sight(&node.volume) };
+            let is_hopeless = node.is_empty || above.as_ref().is_some_and(|above| !above.is_seen());
+            let mut sight = if is_hopeless {
+                Sight::NONE
+            } else if whole && views == 1 {
+                lens.sight_at(&node.volume, Position::Within)
+            } else {
+                lens.sight(&node.volume)
+            };
             if let Some(above) = above {
                 sight = sight.within(&above);
             }
@@ -429,7 +434,7 @@ impl Search<'_> {
             found.culled += 1;
             return None;
         }
-        let bound = f64::from(node.entry.bound);
+        let bound = f64::from(node.bound);
         let error_m = match kind {
             // Of flattened terrain, heights are still told.
             Kind::Height => self.exaggeration.max(1.0) * bound,
@@ -438,7 +443,9 @@ impl Search<'_> {
             Kind::Color | Kind::Normal => texel_m,
         };
         let pixels = self.worst(error_m, sights[mark..].iter().copied());
-        Some(Glance { texel_m, distance: nearest, error_m, pixels })
+        let is_in = sights[mark..].iter().any(|sight| sight.is_whole)
+            || self.lenses.iter().any(|lens| lens.shows(node.volume.bounds().center));
+        Some(Glance { texel_m, distance: nearest, error_m, pixels, is_in })
     }
 
     /// How large a length is in the view in which it is largest for its tolerance, in pixels of the

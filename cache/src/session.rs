@@ -45,6 +45,8 @@ pub struct Session {
     memo: Memo,
     matcher: Matcher,
     views: Vec<View>,
+    /// Whether these have to be searched for anew, if they are asked for again.
+    is_stale: bool,
     /// Of each view.
     motions: Vec<Motion>,
     /// Whether there is something to do for those who load and look ahead.
@@ -97,6 +99,7 @@ impl Session {
             memo: Memo::default(),
             matcher: Matcher::default(),
             views: Vec::new(),
+            is_stale: false,
             motions: Vec::new(),
             is_asking: false,
             looked: None,
@@ -116,7 +119,7 @@ impl Session {
     /// that a user has switched off. It is asked about datasets in sight, in each search.
     pub fn hide(&mut self, hides: impl Fn(&DatasetInfo) -> bool + Send + Sync + 'static) {
         self.hidden = Hidden(Some(Arc::new(hides)));
-        self.views.clear();
+        self.is_stale = true;
     }
 
     /// From the next update on, heights are taken so many times, 0 or more: their errors are as many times as
@@ -125,7 +128,7 @@ impl Session {
         let times = if times.is_finite() && times >= 0.0 { times } else { 1.0 };
         if times != self.exaggeration {
             self.exaggeration = times;
-            self.views.clear();
+            self.is_stale = true;
         }
     }
 
@@ -147,7 +150,8 @@ impl Session {
         for (motion, view) in self.motions.iter_mut().zip(views) {
             motion.observe(view, now);
         }
-        if self.views == views && self.next.is_none() && !self.has_news() {
+        let is_same = self.views == views && !self.is_stale;
+        if is_same && self.next.is_none() && !self.has_news() {
             return Arc::clone(&self.last);
         }
         self.search(views, now);
@@ -158,7 +162,7 @@ impl Session {
             }
         } else {
             // It is tried again even if the views stay.
-            self.views.clear();
+            self.is_stale = true;
             self.engine.repeated.fetch_add(1, Relaxed);
         }
         Arc::clone(&self.last)
@@ -212,6 +216,7 @@ impl Session {
 
     fn search(&mut self, views: &[View], now: Instant) {
         self.news.mark_unchanged();
+        self.is_stale = false;
         self.views.clear();
         self.views.extend_from_slice(views);
         if let Some(scene) = self.engine.shared().try_scene() {
@@ -295,11 +300,11 @@ impl Session {
         let Some(mut store) = lock() else { return false };
         let mut trial = None;
         if let Some(next) = self.next.as_ref().filter(|_| self.is_trial) {
-            let Showing { scene, found } = &next.showing;
             let mut requests = Vec::new();
-            let after = self.matcher.compare(scene, found, &self.held, &mut store, &mut requests);
+            let (memo, held) = (&self.memo, &self.held);
+            let after = self.matcher.compare(&next.showing, memo, held, &mut store, &mut requests);
             // In a view that has hardly moved, the picture lacks what it lacked a frame ago.
-            let ground_m = self.ground_m(scene);
+            let ground_m = self.ground_m(&next.showing.scene);
             let is_steady = self.motions.iter().all(|motion| motion.is_steady(ground_m));
             let is_as_whole = is_steady && after.missing <= self.last.missing;
             if after.missing == 0 || is_as_whole || self.is_first() || next.is_late(now) {
@@ -314,8 +319,8 @@ impl Session {
             (store, trial) = (again, Some((after, requests)));
         }
         let mut requests = Vec::new();
-        let Showing { scene, found } = &self.shown;
-        let matched = self.matcher.compare(scene, found, &self.held, &mut store, &mut requests);
+        let (memo, held) = (&self.memo, &self.held);
+        let matched = self.matcher.compare(&self.shown, memo, held, &mut store, &mut requests);
         match (trial, &mut self.next) {
             (Some((after, others)), _) if after.missing <= matched.missing => {
                 self.adopt();
@@ -327,7 +332,7 @@ impl Session {
                 // What the picture lacks comes before what the next one will.
                 requests.extend(others);
             }
-            (_, Some(next)) => next.ask(&mut self.matcher, &store, &mut requests),
+            (_, Some(next)) => next.ask(&mut self.matcher, &self.memo, &store, &mut requests),
             (_, None) => {}
         }
         self.select(&mut store, matched, requests, now);

@@ -289,6 +289,10 @@ impl Gated {
         Cache::with_archives(mars(), archives, options).unwrap()
     }
 
+    fn entry(&self, page: PageAddress) -> &PageEntry {
+        self.entries.iter().find(|entry| entry.page == page).unwrap()
+    }
+
     /// How often the payload of each page was read.
     fn page_reads(&self) -> HashMap<PageAddress, usize> {
         let reads = self.gate.reads.lock().unwrap();

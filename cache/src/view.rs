@@ -54,6 +54,8 @@ pub(crate) struct Lens {
     horizon: Option<Horizon>,
     /// Before that, if the body has nothing beyond the greatest radius.
     before: Option<HalfSpace>,
+    /// Before that, whatever the body has.
+    in_front: Option<HalfSpace>,
 }
 
 /// How near a page, or some other thing, is to a view.
@@ -116,6 +118,7 @@ impl Lens {
             farthest_ground: until_sphere(view.eye, least_cosine, inscribed_radius),
             horizon,
             before: horizon.map(|horizon| horizon.before(greatest_radius)),
+            in_front: horizon.map(|horizon| horizon.in_front()),
         }
     }
 
@@ -123,7 +126,11 @@ impl Lens {
     ///
     /// d cos² α is a cos α, with a the length along the axis: of both, the larger lower bound counts.
     pub(crate) fn sight(&self, volume: &Volume) -> Sight {
-        let position = self.position(volume);
+        self.sight_at(volume, self.position(volume))
+    }
+
+    /// The same, where it is known where the page lies.
+    pub(crate) fn sight_at(&self, volume: &Volume, position: Position) -> Sight {
         if position == Position::Outside {
             return Sight::NONE;
         }
@@ -224,13 +231,12 @@ impl Lens {
     }
 
     /// Where a box around terrain lies: outside if it is out of sight, within if all of it is in the picture and
-    /// not behind the limb of what the body hides.
+    /// in front of what the body hides.
     pub(crate) fn position_of_box(&self, bounds: &Aabb) -> Position {
-        match bounds.position_in(self.before.as_slice()) {
-            Position::Outside => Position::Outside,
-            Position::Across if bounds.outside(&self.frustum) => Position::Outside,
-            Position::Across => Position::Across,
+        match bounds.position_in(self.in_front.as_slice()) {
             Position::Within => bounds.position_in(&self.frustum),
+            _ if self.misses_box(bounds) => Position::Outside,
+            _ => Position::Across,
         }
     }
 

@@ -247,6 +247,24 @@ impl Bvh {
         }
     }
 
+    /// Gives items other numbers, from 0 on, in the order in which a walk through the tree comes to them: mostly
+    /// what has near numbers lies near. Returns their numbers of before in that order.
+    pub fn renumber(&mut self) -> Vec<u32> {
+        let mut before = Vec::with_capacity(self.len());
+        self.walk(|node| {
+            if let Content::Leaf(item) = node.content() {
+                before.push(item);
+            }
+            true
+        });
+        let places: Vec<usize> = before.iter().map(|item| self.leaves[item]).collect();
+        self.leaves = (0..).zip(places).collect();
+        for (&item, &leaf) in &self.leaves {
+            self.nodes[leaf].parts = [item, Node::LEAF];
+        }
+        before
+    }
+
     /// Removes a box; whether there was one.
     pub fn remove(&mut self, item: u32) -> bool {
         let Some(leaf) = self.leaves.remove(&item) else { return false };

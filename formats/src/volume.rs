@@ -86,6 +86,12 @@ impl Horizon {
         self.hides(self.toward_eye.dot(point), point.length())
     }
 
+    /// The half space of what the sphere cannot hide, however far it is from the body's center.
+    #[must_use]
+    pub fn in_front(&self) -> HalfSpace {
+        HalfSpace { normal: self.toward_eye, offset: self.plane }
+    }
+
     fn hidden_below(&self, greatest_radius: f64) -> f64 {
         let over = (greatest_radius * greatest_radius - self.radius2).max(0.0).sqrt();
         self.plane - self.sine * over
@@ -218,12 +224,19 @@ impl Volume {
     /// A cone of less than a right angle is convex: it holds the box if it holds its corners.
     #[must_use]
     pub fn least_cosine(&self, eye: DVec3, axis: DVec3) -> f64 {
-        let cosine = |corner: DVec3| {
-            let to_corner = corner - eye;
-            axis.dot(to_corner) / to_corner.length()
-        };
-        let least = self.bounds.corners().into_iter().map(cosine).fold(1.0, f64::min);
+        let OrientedBox { center, axes, half } = self.bounds;
+        let edges = [axes.x_axis * half.x, axes.y_axis * half.y, axes.z_axis * half.z];
+        let from = center - eye - edges[0] - edges[1] - edges[2];
+        let [x, y, z] = edges.map(|edge| 2.0 * edge);
+        let corners =
+            [from, from + x, from + y, from + (x + y)].into_iter().flat_map(|one| [one, one + z]);
+        // One square root for all: what is behind stays negative.
+        let squares = corners.map(|to_corner| {
+            let along = axis.dot(to_corner);
+            along * along.abs() / to_corner.length_squared()
+        });
+        let least = squares.fold(1.0, f64::min);
         // NaN, at a corner, fails the comparison.
-        if least > 0.0 { least - f64::EPSILON } else { 0.0 }
+        if least > 0.0 { least.sqrt() - 4.0 * f64::EPSILON } else { 0.0 }
     }
 }

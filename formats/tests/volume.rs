@@ -233,11 +233,14 @@ proptest! {
         let hidden = horizon.is_some_and(|horizon| volume.hidden_by(&horizon));
         let distance = volume.distance_from(eye).0;
         let cosine = volume.least_cosine(eye, axis);
+        let in_front = horizon.map(|horizon| horizon.in_front());
         let side = HalfSpace::through(eye, axis);
         let position = volume.position_in(&[side]);
         for &point in &points {
             prop_assert!(distance <= point.distance(eye), "{name} {page}");
             prop_assert!(!hidden || sphere_hides(eye, point, sphere), "{name} {page}");
+            let is_in_front = in_front.is_some_and(|half| half.normal.dot(point) >= half.offset);
+            prop_assert!(!is_in_front || !sphere_hides(eye, point, sphere * (1.0 - 1e-12)));
             let inside = (point - eye).dot(axis) >= 0.0;
             prop_assert!(
                 position == Position::Across || (position == Position::Within) == inside,

@@ -16,22 +16,17 @@ impl Search<'_> {
     pub(super) const HALVINGS: u32 = 3;
 
     /// Drops wanted pages of which no part is in sight: at the rim of the picture, a box reaches around
-    /// corners that its parts do not. Children without data say nothing about what the
+    /// corners that its parts do not. Mostly a page's own middle tells, for which no part has to be fetched; its
+    /// box is not flat, and some pages stay that could go. Children without data say nothing about what the
     /// page shows there. A part whose middle is in sight ends it: boxes of parts are flat.
     pub(super) fn drop_unseen(&self, memo: &mut Memo, found: &mut Found) {
-        let Found { wanted, seen, sights, visited, culled, .. } = found;
+        let Found { wanted, seen, visited, culled, .. } = found;
         wanted.retain(|&place| {
-            let Seen { dataset, entry, middle, .. } = &seen[place];
-            let views = place * self.lenses.len()..(place + 1) * self.lenses.len();
-            if sights[views].iter().any(|sight| sight.is_whole) {
+            let Seen { dataset, page, is_in, .. } = seen[place];
+            if is_in {
                 return true;
             }
-            // Mostly its own middle tells, for which no part has to be fetched. Its box is not flat: some pages
-            // stay that could go.
-            if self.lenses.iter().any(|lens| lens.shows(*middle)) {
-                return true;
-            }
-            let (dataset, page) = (&self.scene.datasets[*dataset], entry.page);
+            let dataset = &self.scene.datasets[dataset];
             if page.level == dataset.finest {
                 return true;
             }

@@ -13,7 +13,7 @@ use areoid_formats::bvh::Bvh;
 /// The wanted pages, by their datasets' names.
 fn wanted(scene: &Scene, found: &Found) -> BTreeSet<(String, PageAddress)> {
     let seen = found.wanted.iter().map(|&place| found.seen[place]);
-    seen.map(|seen| (scene.datasets[seen.dataset].info.name.clone(), seen.entry.page)).collect()
+    seen.map(|seen| (scene.datasets[seen.dataset].info.name.clone(), seen.page)).collect()
 }
 
 /// Small regions side by side, east to west and then north.
@@ -111,6 +111,8 @@ fn the_largest_datasets_come_first_in_whatever_order_they_came() {
 fn the_tree_finds_what_looking_at_each_does() {
     let regions: Vec<Gated> = regions().filter(|region| !region.entries.is_empty()).collect();
     let scene = scene(&regions.iter().collect::<Vec<_>>());
+    // What lies side by side on the ground does so in memory.
+    assert!(scene.tree.clone().renumber().is_sorted());
     let places: Vec<usize> = (0..scene.datasets.len()).collect();
     let lot = |number: u32, salt: u64| chance(PageAddress::new(Level(1), number, 0), salt);
     let (mut memo, hidden) = (Memo::default(), &Hidden::default());

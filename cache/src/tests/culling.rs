@@ -102,7 +102,7 @@ fn wanted_over(found: &Found, dataset: usize, page: PageAddress) -> Option<usize
         let seen = &found.seen[place];
         let mut ancestor = Some(page);
         while let Some(page) = ancestor {
-            if seen.dataset == dataset && seen.entry.page == page {
+            if seen.dataset == dataset && seen.page == page {
                 return true;
             }
             ancestor = page.parent();
@@ -136,7 +136,8 @@ fn check(datasets: &[&Gated], scene: &Scene, view: &View, exaggeration: f64) -> 
                 let sight = point - view.eye;
                 let cosine = sight.normalize().dot(view.axis());
                 let pixels = |seen: &Seen| {
-                    let bound = exaggeration.max(1.0) * f64::from(seen.entry.bound);
+                    let bound = datasets[seen.dataset].entry(seen.page).bound;
+                    let bound = exaggeration.max(1.0) * f64::from(bound);
                     bound * scale / (sight.length() * cosine * cosine)
                 };
                 let error = pixels(wanted);
@@ -145,7 +146,7 @@ fn check(datasets: &[&Gated], scene: &Scene, view: &View, exaggeration: f64) -> 
                 while let Some(place) = above {
                     let seen = &found.seen[place];
                     let shows = pixels(seen) < View::BLENDED * view.tolerance_px * (1.0 - 1e-9);
-                    assert!(!shows || found.beneath.contains(&place), "{}", seen.entry.page);
+                    assert!(!shows || found.beneath.contains(&place), "{}", seen.page);
                     above = seen.parent;
                 }
             }
@@ -155,7 +156,7 @@ fn check(datasets: &[&Gated], scene: &Scene, view: &View, exaggeration: f64) -> 
         assert!(
             found.seen[*place].pixels <= view.tolerance_px || {
                 let seen = &found.seen[*place];
-                seen.entry.page.level == scene.datasets[seen.dataset].info.grid.pyramid().finest()
+                seen.page.level == scene.datasets[seen.dataset].info.grid.pyramid().finest()
             }
         );
     }
@@ -312,7 +313,7 @@ fn what_is_seen_is_no_nearer_than_its_sight() {
         let lens = crate::view::Lens::new(&view, scene.radii(1.0));
         for (place, dataset) in [globe, cap].into_iter().enumerate() {
             for entry in &dataset.entries {
-                let sight = lens.sight(&scene.datasets[place].node(*entry, 1.0).volume);
+                let sight = lens.sight(&scene.datasets[place].node(entry, 1.0).volume);
                 for point in points(dataset, entry, 4, 1.0) {
                     if !is_seen(&view, inner, point) {
                         continue;
@@ -346,7 +347,7 @@ fn an_allowance_raises_the_tolerance_to_what_fits() {
         assert!(found.tolerance_px <= last.0 && found.seen.len() >= last.1, "{pages}");
         let worst = found.wanted.iter().map(|&place| found.seen[place]);
         let finest = globe.info.grid.pyramid().finest();
-        for seen in worst.filter(|seen| seen.entry.page.level < finest) {
+        for seen in worst.filter(|seen| seen.page.level < finest) {
             assert!(seen.pixels <= found.tolerance_px);
         }
         last = (found.tolerance_px, found.seen.len());
@@ -366,7 +367,7 @@ fn colors_stop_where_the_bound_says_so() {
     let levels = |altitude| {
         let view = view(10.0, 20.0, altitude, 0.0);
         let found = search(&scene, &mut Memo::default(), &view, usize::MAX);
-        let levels = found.wanted.iter().map(|&place| found.seen[place].entry.page.level.0);
+        let levels = found.wanted.iter().map(|&place| found.seen[place].page.level.0);
         levels.max().unwrap()
     };
     assert_eq!((levels(1e9), levels(1e8), levels(1e5)), (0, 1, 3));
@@ -412,7 +413,8 @@ fn searches_want_little_more_than_is_seen() {
         let warm = start.elapsed() / 20;
         let in_sight = |place: &usize| {
             let seen = &found.seen[*place];
-            let mut points = points(datasets[seen.dataset], &seen.entry, 32, 1.0).into_iter();
+            let dataset = datasets[seen.dataset];
+            let mut points = points(dataset, dataset.entry(seen.page), 32, 1.0).into_iter();
             points.any(|point| is_seen(&view, inner, point))
         };
         let seen = found.wanted.iter().filter(|place| in_sight(place)).count();

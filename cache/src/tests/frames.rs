@@ -213,6 +213,11 @@ fn views_that_make_no_sense_do_no_harm() {
         }
     }
     assert!(anew(&cache, &mut session, &[]).pages.is_empty());
+    // Nor does a view that is none come after what makes all views new.
+    session.settle(&near);
+    session.exaggerate(2.0);
+    assert!(anew(&cache, &mut session, &[]).pages.is_empty());
+    session.exaggerate(1.0);
     let again = session.settle(&near);
     assert_eq!((again.pages.len(), again.missing), (truth.pages.len(), 0));
 }

@@ -51,6 +51,31 @@ fn footprints(count: u32) -> Vec<(u32, Aabb)> {
         .collect()
 }
 
+/// Renumbered, items are those they were, in the order of a walk; and can be found, moved and removed as before.
+#[test]
+fn numbers_follow_the_walk() {
+    let items = footprints(500);
+    let mut tree = Bvh::build(items.iter().map(|&(item, bounds)| (7 * item + 3, bounds)));
+    for item in (0..500).step_by(3) {
+        tree.remove(7 * item + 3);
+    }
+    tree.insert(9_999, items[0].1);
+    let (before, boxes) = (tree.clone(), tree.len());
+    let numbers = tree.renumber();
+    check_shape(&tree);
+    assert_eq!((numbers.len(), tree.cost()), (boxes, before.cost()));
+    for (item, number) in (0..).zip(&numbers) {
+        assert_eq!(tree.get(item), before.get(*number), "{item}");
+    }
+    let mut walked = Vec::new();
+    tree.visit(|_| true, |item| walked.push(item));
+    assert!(walked.iter().copied().eq(0..u32::try_from(boxes).unwrap()), "{walked:?}");
+    assert!(tree.remove(0) && !tree.remove(9_999));
+    tree.insert(5, items[1].1);
+    check_shape(&tree);
+    assert_eq!((tree.len(), tree.get(5)), (boxes - 1, Some(items[1].1)));
+}
+
 #[test]
 fn ten_thousand_insertions_are_as_good_as_a_fresh_tree() {
     let items = footprints(10_000);

@@ -1,5 +1,6 @@
 //! What an update costs the thread that draws, while all else goes on.
 
+use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
@@ -18,7 +19,7 @@ use super::Setting;
 use super::flights::flights;
 use super::patches::{Patch, patch, patches};
 use super::planet::body;
-use super::replay::{WINDOW, fly};
+use super::replay::{WINDOW, clock, fly, in_real_time};
 use crate::bench::rasters::{Look, Recipe};
 use crate::bench::report::{Chapter, Relation, Table, Target, quantile};
 use crate::failure::Failure;
@@ -81,6 +82,20 @@ pub(super) fn measure(setting: Setting, folder: &Path) -> Result<Chapter, Failur
             "insertions": insertions,
         }));
     }
+    let mut took_ms = Vec::new();
+    let lines = Lines::default();
+    let [changes, insertions] = beside(&cache, count, delay, &busy, || {
+        in_real_time(setting.seconds, |_| took_ms.push(lines.read().as_secs_f64() * 1e3));
+    })?;
+    took_ms.sort_by(f64::total_cmp);
+    let [median, p99, max] = [0.5, 0.99, 1.0].map(|share| quantile(&took_ms, share));
+    let mut row = vec!["memory alone".to_owned(), took_ms.len().to_string()];
+    row.extend([median, p99, max].map(|ms| format!("{ms:.3}")));
+    row.extend(["", "", "", ""].map(str::to_owned));
+    row.extend([changes, insertions].map(|number| number.to_string()));
+    rows.push(row);
+    let alone = json!({ "median": median, "p99": p99, "max": max });
+
     let head = vec![
         "flight",
         "frames",
@@ -110,6 +125,11 @@ pub(super) fn measure(setting: Setting, folder: &Path) -> Result<Chapter, Failur
              pages and those that had to be looked at to be left out. *Repeated* updates found the \
              tables in use and answered as the one before."
                 .to_owned(),
+            format!(
+                "*Memory alone* is a thread that reads {} lines of a processor's cache in the place of each \
+                 update, about as many as one does: what the machine does to whoever reads so much.",
+                Lines::READ
+            ),
         ],
         tables: vec![Table { title, head, rows }],
         targets: vec![Target::new(
@@ -118,8 +138,35 @@ pub(super) fn measure(setting: Setting, folder: &Path) -> Result<Chapter, Failur
             LIMIT_MS,
             Some(worst),
         )],
-        data: json!({ "datasets": count, "pages": pages, "flights": data }),
+        data: json!({
+            "datasets": count,
+            "pages": pages,
+            "flights": data,
+            "memory_alone_ms": alone,
+        }),
     })
+}
+
+/// Lines of a processor's cache, more than are read.
+struct Lines(Vec<[u64; 8]>);
+
+impl Default for Lines {
+    fn default() -> Self {
+        Self(vec![[1; 8]; 8 * Self::READ])
+    }
+}
+
+impl Lines {
+    const READ: usize = 1 << 14;
+
+    /// Reads some, in an order that nothing foresees; the time of the thread that it takes.
+    fn read(&self) -> Duration {
+        let before = clock();
+        // An odd factor leads to each but once.
+        let places = (0..Self::READ).map(|place| place * 88_949 % self.0.len());
+        black_box(places.map(|place| self.0[place][0]).sum::<u64>());
+        clock().saturating_sub(before)
+    }
 }
 
 /// Width of the raster that is inserted meanwhile.

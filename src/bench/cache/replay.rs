@@ -49,18 +49,24 @@ pub(super) fn fly(
     session: &mut Session,
     mut each: impl FnMut(&View, &Arc<Selection>, Duration),
 ) {
-    let start = Instant::now();
-    let mut frame = 0;
-    loop {
-        let now = start.elapsed().as_secs_f64();
-        if now > flight.seconds() {
-            break;
-        }
+    in_real_time(flight.seconds(), |now| {
         let view = screen.view(flight, now);
         let before = clock();
         let selection = session.update(&view);
         each(&view, &selection, clock().saturating_sub(before));
-        drop(selection);
+    });
+}
+
+/// Draws frames for so many seconds, told how many have passed.
+pub(super) fn in_real_time(seconds: f64, mut draw: impl FnMut(f64)) {
+    let start = Instant::now();
+    let mut frame = 0;
+    loop {
+        let now = start.elapsed().as_secs_f64();
+        if now > seconds {
+            break;
+        }
+        draw(now);
         frame += 1;
         // A frame that comes too late is left out, as a screen would.
         while start.elapsed() > Duration::from_secs(1) * frame / FRAMES {
