@@ -81,7 +81,7 @@ pub(crate) struct Found {
     pub(crate) root_sights: Vec<Sight>,
     pub(crate) heap: BinaryHeap<Candidate>,
     pub(crate) lenses: Vec<Lens>,
-    /// Room for branches of the tree, and for slots of datasets and whether all of them is in sight.
+    /// Room for branches of the tree, and for slots of datasets and whether all of each is in sight.
     pub(crate) room: (Vec<usize>, Vec<(usize, bool)>),
     /// Pages that gave way to their children, and their least error where they are seen, over the
     /// largest with which they still show.

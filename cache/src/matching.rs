@@ -257,8 +257,9 @@ impl Matcher {
             let seen = &found.seen[place];
             let dataset = &scene.datasets[seen.dataset];
             let parent = seen.parent.map(|parent| found.seen[parent].page);
-            // What a search has just found is remembered.
-            let entry = memo.entry(dataset, parent, seen.page)?;
+            // What the last search found is remembered; what is known of an index stays so, too.
+            let known = || dataset.pages.find_resident(seen.page).flatten();
+            let entry = memo.entry(dataset, parent, seen.page).or_else(known)?;
             let stored = match entry.payload {
                 Payload::Constant(_) => 0,
                 Payload::Record { length, .. } => length as usize,

@@ -190,7 +190,7 @@ impl Scene {
         scene
     }
 
-    /// Builds the tree anew once an eighth of it has changed, if that makes it better. Datasets have their slots in
+    /// Builds the tree anew once an eighth of it has changed, if that makes it better. Datasets get their slots in
     /// its order then: what lies side by side on the ground does so in memory.
     fn keep_tree(&mut self) {
         const FEW: usize = 32;
@@ -202,8 +202,8 @@ impl Scene {
             }
             if fresh.cost() < self.tree.cost() {
                 self.tree = fresh;
-                self.sort_slots();
             }
+            self.sort_slots();
             self.changes = 0;
         }
     }
@@ -423,6 +423,7 @@ impl Dataset {
         entries.iter().map(|entry| self.node(entry, exaggeration)).collect()
     }
 
+    /// The same of one page.
     pub(crate) fn node(&self, entry: &PageEntry, exaggeration: f64) -> Node {
         let Self { info, heights, .. } = self;
         let (texel_m, [lowest, highest]) = match info.kind {

@@ -30,7 +30,7 @@ use serde::{Deserialize, Serialize};
 use crate::bounds::Aabb;
 use stored::Stored;
 
-/// A tree of boxes, each with a number that the caller chose.
+/// A tree of boxes, each with a number that the caller chose, or [`Self::renumber`] gave it.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(try_from = "Stored", into = "Stored")]
 pub struct Bvh {

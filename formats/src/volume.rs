@@ -86,7 +86,10 @@ impl Horizon {
         self.hides(self.toward_eye.dot(point), point.length())
     }
 
-    /// The half space of what the sphere cannot hide, however far it is from the body's center.
+    /// The half space in which the sphere hides nothing that lies outside of it: n · p ≥ r² / d.
+    ///
+    /// Its plane is that of the circle in which rays from the eye touch the sphere. Whatever ray enters the
+    /// sphere does so before that plane and leaves behind it, so that what is hidden lies behind it.
     #[must_use]
     pub fn in_front(&self) -> HalfSpace {
         HalfSpace { normal: self.toward_eye, offset: self.plane }
@@ -236,7 +239,7 @@ impl Volume {
             along * along.abs() / to_corner.length_squared()
         });
         let least = squares.fold(1.0, f64::min);
-        // NaN, at a corner, fails the comparison.
+        // An eye at a corner is at no angle to it: `min` passes that over, and the others span the cone.
         if least > 0.0 { least.sqrt() - 4.0 * f64::EPSILON } else { 0.0 }
     }
 }

@@ -127,7 +127,8 @@ pub(super) fn measure(setting: Setting, folder: &Path) -> Result<Chapter, Failur
                 .to_owned(),
             format!(
                 "*Memory alone* is a thread that reads {} lines of a processor's cache in the place of each \
-                 update, about as many as one does: what the machine does to whoever reads so much.",
+                 update, a mebibyte, beside the same insertions and without loads: what the machine does to whoever \
+                 reads so much. Those reads wait for one another less than an update's do.",
                 Lines::READ
             ),
         ],
